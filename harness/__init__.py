@@ -1,0 +1,1 @@
+"""Scenarios, co-simulation, metrics, verdicts, reports."""

@@ -1,0 +1,1 @@
+"""Ground floor: parameters, systems of equations, integrators, generators."""

@@ -1,0 +1,29 @@
+"""Basis functions of the velocity that shape the Stribeck curve; shared by plant and observer."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+
+SX = ca.SX
+DEGREE = math.pi / 180.0
+BASIS_COUNT = 2  # how many functions the shipped models use; a build option of the laws and observers
+
+
+def gaussian(v: SX, count: int = BASIS_COUNT) -> list[SX]:
+    """Return phi_i(v) = exp(-((|v| - v_i)/w_i)^2) for v in rad/s; for two functions centres 0, 20 and widths 10, 20 deg/s.
+
+    The paper prints v without the bars in the second function; the Stribeck curve is even, so they are meant.
+    Source: dixit2008 eq. (24), with beta2 for the second beta1 and |v| for v.
+    """
+    shapes = [(20.0 * i * DEGREE, (10.0 if i == 0 else 20.0) * DEGREE) for i in range(count)]
+    return [ca.exp(-(((ca.fabs(v) - centre) / width) ** 2)) for centre, width in shapes]
+
+
+def polynomial(v: SX, count: int = BASIS_COUNT) -> list[SX]:
+    """Return phi_i(v) = |v|^i for v in rad/s.
+
+    Source: dixit2008 section III remark 6.
+    """
+    return [ca.fabs(v) ** i for i in range(1, count + 1)]

@@ -1,0 +1,95 @@
+"""Print a kernel as C99 or as plain Python: one walk over its instructions, two tables of spellings."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+from bristle.model.program import Kernel
+
+# {0}, {1}: operands. A minimum or maximum lets NaN through in both languages.
+_SHARED = {
+    ca.OP_ASSIGN: "{0}", ca.OP_NEG: "-{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0 * {0}", ca.OP_INV: "1.0 / {0}",
+}
+_C = _SHARED | {
+    ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_NE: "{0} != {1}", ca.OP_NOT: "!{0}",
+    ca.OP_AND: "({0} != 0) && ({1} != 0)", ca.OP_OR: "({0} != 0) || ({1} != 0)", ca.OP_IF_ELSE_ZERO: "{0} != 0 ? {1} : 0.0",
+    ca.OP_SIGN: "(double)(({0} > 0) - ({0} < 0))", ca.OP_FMIN: "({0} < {1} || {0} != {0}) ? {0} : {1}",
+    ca.OP_FMAX: "({0} > {1} || {0} != {0}) ? {0} : {1}", ca.OP_FABS: "fabs({0})", ca.OP_FLOOR: "floor({0})",
+    ca.OP_CEIL: "ceil({0})", ca.OP_SQRT: "sqrt({0})", ca.OP_EXP: "exp({0})", ca.OP_LOG: "log({0})", ca.OP_SIN: "sin({0})",
+    ca.OP_COS: "cos({0})", ca.OP_TANH: "tanh({0})", ca.OP_ATAN2: "atan2({0}, {1})", ca.OP_POW: "pow({0}, {1})",
+    ca.OP_CONSTPOW: "pow({0}, {1})",
+}  # fmt: skip
+_PYTHON = _SHARED | {
+    ca.OP_LT: "float({0} < {1})", ca.OP_LE: "float({0} <= {1})", ca.OP_EQ: "float({0} == {1})",
+    ca.OP_NE: "float({0} != {1})", ca.OP_NOT: "float(not {0})", ca.OP_AND: "float({0} != 0 and {1} != 0)",
+    ca.OP_OR: "float({0} != 0 or {1} != 0)", ca.OP_IF_ELSE_ZERO: "{1} if {0} else 0.0",
+    ca.OP_SIGN: "float(({0} > 0) - ({0} < 0))", ca.OP_FMIN: "{0} if ({0} < {1} or {0} != {0}) else {1}",
+    ca.OP_FMAX: "{0} if ({0} > {1} or {0} != {0}) else {1}", ca.OP_FABS: "abs({0})",
+    ca.OP_FLOOR: "float(math.floor({0}))", ca.OP_CEIL: "float(math.ceil({0}))", ca.OP_SQRT: "math.sqrt({0})",
+    ca.OP_EXP: "math.exp({0})", ca.OP_LOG: "math.log({0})", ca.OP_SIN: "math.sin({0})", ca.OP_COS: "math.cos({0})",
+    ca.OP_TANH: "math.tanh({0})", ca.OP_ATAN2: "math.atan2({0}, {1})", ca.OP_POW: "math.pow({0}, {1})",
+    ca.OP_CONSTPOW: "math.pow({0}, {1})",
+}  # fmt: skip
+
+
+def _number(value: float, python: bool) -> str:
+    if math.isnan(value):
+        return "math.nan" if python else "NAN"
+    if math.isinf(value):
+        sign = "-" if value < 0 else ""
+        return sign + ("math.inf" if python else "INFINITY")
+    return repr(float(value)) if value >= 0 and math.copysign(1.0, value) > 0 else f"({float(value)!r})"
+
+
+def _walk(function: ca.Function, reads: tuple[int, ...], python: bool) -> tuple[list[tuple[str, str]], dict[int, str]]:
+    """Return the assignments (name, expression) of a function and the name of each result."""
+    spellings = _PYTHON if python else _C
+    lines: list[tuple[str, str]] = []
+    current: dict[int, str] = {}  # what each work slot holds now; every value gets a fresh name
+    results: dict[int, str] = {}
+    loaded: dict[tuple[int, int], str] = {}
+    for k in range(function.n_instructions()):
+        op, out, inp = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        if op == ca.OP_OUTPUT:
+            results[out[1]] = current[inp[0]]
+        elif op == ca.OP_INPUT:
+            key = (inp[0], inp[1])
+            if key not in loaded:
+                loaded[key] = f"a{len(lines)}"
+                lines.append((loaded[key], f"v[{reads[inp[1]]}]" if inp[0] == 0 else "h"))
+            current[out[0]] = loaded[key]
+        elif op == ca.OP_CONST:
+            current[out[0]] = _number(function.instruction_constant(k), python)
+        else:
+            if op not in spellings:
+                raise NotImplementedError(f"operation {op} of {function.name()} has no spelling; add it to model/emit.py")
+            name = f"a{len(lines)}"
+            lines.append((name, spellings[op].format(*(current[i] for i in inp))))
+            current[out[0]] = name
+    return lines, results
+
+
+def emit_c(kernel: Kernel) -> str:
+    """Return the kernel as a static C99 function ``void name(double *v, double h, double *out)``."""
+    array = "out" if kernel.to_output else "v"
+    text = [f"static void {kernel.name}(double *v, double h, double *out)", "{", "    (void)v; (void)h; (void)out;"]
+    for function, targets in kernel.blocks:
+        lines, results = _walk(function, kernel.reads, python=False)
+        text.append("    {")
+        text += [f"        const double {name} = {expression};" for name, expression in lines]
+        text += [f"        {array}[{targets[k]}] = {results[k]};" for k in sorted(results)]
+        text.append("    }")
+    return "\n".join([*text, "}", ""])
+
+
+def emit_python(kernel: Kernel) -> str:
+    """Return the kernel as a Python function ``name(v, h, out)``."""
+    array = "out" if kernel.to_output else "v"
+    text = [f"def {kernel.name}(v, h, out):"]
+    for function, targets in kernel.blocks:
+        lines, results = _walk(function, kernel.reads, python=True)
+        text += [f"    {name} = {expression}" for name, expression in lines]
+        text += [f"    {array}[{targets[k]}] = {results[k]}" for k in sorted(results)]
+    return "\n".join([*text, *([] if kernel.blocks else ["    pass"]), "", ""])

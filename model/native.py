@@ -1,0 +1,138 @@
+"""A program compiled and simulated inside this process."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from importlib.resources import files
+
+import numpy as np
+from bristle.model.cache import cached, digest
+from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, find_compiler
+from bristle.model.errors import BristleError, SimulationError
+from bristle.model.program import Program
+from bristle.model.sources import c_sources
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def _pointer(array: NDArray[np.generic] | None) -> ctypes.c_void_p | None:
+    return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
+
+
+def compile_program(program: Program) -> ctypes.CDLL:
+    """Compile a program (or take it from the cache) and load it."""
+    batch = (files("bristle.model") / "c" / "batch.c").read_text(encoding="utf-8")
+    sources = c_sources(program) | {"batch.c": batch}
+    key = digest(*FLAGS, *find_compiler(), *(text for pair in sorted(sources.items()) for text in pair))
+    path = cached(f"{program.name}-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out))
+    library = ctypes.CDLL(str(path))
+    library.batch_run.restype = library.batch_steps.restype = ctypes.c_longlong
+    library.batch_message.restype = ctypes.c_char_p
+    return library
+
+
+class Native:
+    """One instance of a compiled program.
+
+    Parameters
+    ----------
+    program : Program
+        What to simulate.
+    variant : str, optional
+        Name of the system; the first one by default.
+    parameters : mapping of str to float
+        Values of parameters and start values of inputs, SI; checked against their intervals.
+    """
+
+    def __init__(self, program: Program, parameters: Mapping[str, float] | None = None, variant: str | None = None) -> None:
+        self.program, self._library = program, compile_program(program)
+        self._core = ctypes.create_string_buffer(self._library.batch_size() + 64)
+        names = [a.system.name for a in program.variants]
+        if variant is not None and variant not in names:
+            raise BristleError(f"'{variant}' is no variant of {program.name}; known: {', '.join(names)}")
+        self.variant = program.variants[names.index(variant) if variant else 0]
+        self._v = np.array(program.starts)
+        if program.selector:
+            self._v[program.index[program.selector]] = names.index(self.variant.system.name) + 1
+        for name, value in (parameters or {}).items():
+            if name in self.variant.system.parameters:
+                self.variant.system.parameters[name].check(value)
+            elif name not in self.variant.system.inputs:
+                known = ", ".join([*self.variant.system.parameters, *self.variant.system.inputs])
+                raise BristleError(f"'{name}' is no parameter of {program.name} ({self.variant.system.name}); known: {known}")
+            self._v[program.index[name]] = value
+        self.reset()
+
+    def reset(self, time: float = 0.0) -> None:
+        """Set all states to their start values."""
+        self._check(self._library.batch_initialise(self._core, _pointer(self._v), ctypes.c_double(time)), time)
+
+    def _check(self, code: int, time: float) -> None:
+        if code:
+            raise SimulationError(f"{self.program.name} at {time:g} s: {self._library.batch_message(code).decode()}", time)
+
+    @property
+    def steps(self) -> int:
+        """Internal steps taken since the last reset."""
+        return int(self._library.batch_steps(self._core))
+
+    @property
+    def values(self) -> Array:
+        """The whole variable table."""
+        v = np.empty(len(self.program.slots))
+        self._library.batch_read(self._core, _pointer(v))
+        return v
+
+    def write(self, values: Array) -> None:
+        """Replace the whole variable table."""
+        self._library.batch_write(self._core, _pointer(np.ascontiguousarray(values, dtype=float)))
+
+    def advance(self, h: float) -> None:
+        """Do one communication step."""
+        self._check(self._library.batch_advance(self._core, ctypes.c_double(h)), float(self.values[0]))
+
+    @cached_property
+    def _sensitivity_shape(self) -> tuple[int, int]:
+        return len(self.variant.states), len(self.program.sensitivities)
+
+    def run(
+        self, h: float, inputs: Mapping[str, Array], record: Sequence[str], sensitivities: bool = False
+    ) -> tuple[Array, Array | None]:
+        """Simulate as many steps of length h as the inputs have values, from the present state.
+
+        Returns
+        -------
+        record : ndarray, shape (n + 1, len(record))
+            The named variables at the start of each step and at the end.
+        sensitivities : ndarray, shape (n + 1, states, parameters), or None
+            Derivatives of the continuous states by the program's chosen parameters, exact for the steps taken; the
+            start values are taken as independent of the parameters.
+
+        Raises
+        ------
+        SimulationError
+            If the simulation cannot go on; its `time` is where it stopped.
+        """
+        table = np.column_stack([np.asarray(x, dtype=float) for x in inputs.values()]) if inputs else np.empty((0, 0))
+        n, index = len(table), self.program.index
+        places = np.array([index[name] for name in inputs], dtype=np.int32)
+        recorded = np.array([index[name] for name in record], dtype=np.int32)
+        out = np.empty((n + 1, len(record)))
+        sens = np.empty((n + 1, *self._sensitivity_shape)) if sensitivities else None
+        code = ctypes.c_int(0)
+        done = self._library.batch_run(
+            self._core, ctypes.c_longlong(n), ctypes.c_double(h), len(places), _pointer(places),
+            _pointer(np.ascontiguousarray(table)), len(recorded), _pointer(recorded), _pointer(out), _pointer(sens),
+            ctypes.byref(code),
+        )  # fmt: skip
+        self._check(code.value, done * h)
+        return out, sens
+
+    def rates(self) -> Array:
+        """Return x' at the present state, for smooth systems."""
+        dx = np.empty(len(self.variant.states))
+        self._check(self._library.batch_rates(self._core, _pointer(dx)), float(self.values[0]))
+        return dx

@@ -1,0 +1,231 @@
+"""`Program`: one table of variables `v[]` for one or several systems, and the functions that work on it.
+
+The index of a variable in `v[]` is its value reference in an FMU. Several variants (friction laws, observer methods)
+share the table; each has its own functions, and a selector parameter chooses the variant at initialisation.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+from bristle.model.errors import BristleError
+from bristle.model.proximal import proximal
+from bristle.model.rosenbrock import rodas3
+from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
+from bristle.model.variables import Parameter, Variable
+
+SX = ca.SX
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One place of `v[]`: kind is time, selector, parameter, calculated, hidden, input, output, state, der, sampled or mode."""
+
+    index: int
+    name: str
+    kind: str
+    variable: Variable | Parameter
+    start: float
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A generated function of `v[]` and the step length h.
+
+    `blocks` are evaluated one after another; each writes its results to `targets`: indices of `v[]`, or of a separate
+    result array where `to_output` is set.
+    """
+
+    name: str
+    blocks: tuple[tuple[ca.Function, tuple[int, ...]], ...]
+    reads: tuple[int, ...]  # index in v[] of each entry of the functions' first argument
+    to_output: bool = False
+
+
+@dataclass
+class Variant:
+    """What the core needs to know about one system: its functions and the places of its states."""
+
+    system: System
+    kernels: dict[str, Kernel] = field(default_factory=dict)
+    states: tuple[int, ...] = ()
+    ders: tuple[int, ...] = ()
+    finite: tuple[int, ...] = ()  # places that must stay finite
+    sample_time: int = -1
+    max_step: int = -1
+    max_steps: int = -1
+    friction_step: int = -1
+
+
+def _own(system: System, name: str) -> str:
+    """A state or constant belongs to its system, so that an output or a parameter may carry the same short name."""
+    return f"{system.name}.{name}"
+
+
+class Program:
+    """A named set of systems over one variable table.
+
+    Parameters
+    ----------
+    name : str
+        Model name, such as ``ServoPlant``.
+    systems : sequence of System
+        The variants; inputs and outputs must agree.
+    selector : str, optional
+        Name of the parameter that chooses the variant; needed for more than one.
+    sensitivities : sequence of str, optional
+        Parameters for which the derivative of the internal step is generated too.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        systems: Sequence[System],
+        selector: str | None = None,
+        description: str = "",
+        sensitivities: Sequence[str] = (),
+    ) -> None:
+        if len(systems) > 1 and selector is None:
+            raise BristleError(f"program '{name}' has {len(systems)} variants and needs a selector name")
+        self.name, self.description = name, description or systems[0].description
+        self.selector = selector if len(systems) > 1 else None
+        self.sensitivities = tuple(sensitivities)
+        self.slots: list[Slot] = []
+        self.index: dict[str, int] = {}
+        self._layout(systems)
+        self.variants = [self._variant(system.check()) for system in systems]
+
+    # -- layout ------------------------------------------------------------------------------------------------------
+
+    def _add(self, name: str, kind: str, variable: Variable | Parameter, start: float = 0.0) -> None:
+        if name in self.index:
+            known = self.slots[self.index[name]]
+            if known.kind != kind or known.variable != variable:
+                raise BristleError(f"program '{self.name}': '{name}' is declared in two different ways; make them equal")
+            return
+        self.index[name] = len(self.slots)
+        self.slots.append(Slot(len(self.slots), name, kind, variable, start))
+
+    def _layout(self, systems: Sequence[System]) -> None:
+        self._add("time", "time", Variable("time", "s", "simulation time"))
+        if self.selector:
+            self._add(self.selector, "selector", Variable(self.selector, "1", "variant"), 1.0)
+        for system in systems:
+            for parameter in system.parameters.values():
+                self._add(parameter.name, "parameter", parameter, parameter.default)
+        for system in systems:
+            for variable, _ in system.calculated.values():
+                self._add(variable.name, "calculated", variable)
+        for system in systems:
+            for variable in system.inputs.values():
+                self._add(variable.name, "input", variable, variable.start)
+        for system in systems:
+            for variable, _ in system.outputs.values():
+                self._add(variable.name, "output", variable)
+        for system in systems:
+            for name in (name for block in system.constants for name in block):
+                self._add(_own(system, name), "hidden", Variable(name, "1", "constant"))
+            for state in system.states.values():
+                self._add(_own(system, state.name), "state", state)
+                if system.smooth:
+                    rate = Variable(state.name, f"{state.unit}/s", f"rate of {state.description}")
+                    self._add(f"der({_own(system, state.name)})", "der", rate)
+            for kind, group in (("sampled", {**system.before, **system.after}), ("mode", system.modes)):
+                for state in group.values():
+                    self._add(_own(system, state.name), kind, state)
+
+    def place(self, system: System, name: str) -> int:
+        """Return the place in `v[]` of a symbol of a system."""
+        shared = name in system.parameters or name in system.inputs
+        return self.index[name if shared else _own(system, name)]
+
+    # -- kernels -----------------------------------------------------------------------------------------------------
+
+    def _kernel(
+        self, system: System, name: str, blocks: Iterable[tuple[Any, Sequence[int]]], h: SX, to_output: bool = False
+    ) -> Kernel:
+        names = list(system.symbols)
+        arguments = ca.vertcat(system.time, system.vector(names))
+        reads = (0, *(self.place(system, n) for n in names))
+        made = []
+        for expression, targets in blocks:
+            [dense] = ca.cse([ca.densify(SX(expression))])
+            made.append((ca.Function(name, [arguments, h], [dense]), tuple(targets)))
+        return Kernel(f"{system.name}_{name}", tuple(made), reads, to_output)
+
+    def _variant(self, system: System) -> Variant:
+        h = SX.sym("h")
+
+        def slot(names: Iterable[str]) -> tuple[int, ...]:
+            return tuple(self.place(system, name) for name in names)
+
+        def parameter(declared: Parameter) -> int:
+            return self.index[declared.name] if declared.name in system.parameters else -1
+
+        group = {**system.states, **system.before, **system.after, **system.modes}
+        variant = Variant(
+            system,
+            states=slot(system.states),
+            ders=tuple(self.index[f"der({_own(system, n)})"] for n in system.states) if system.smooth else (),
+            finite=slot(group),
+            sample_time=parameter(SAMPLE_TIME) if system.before or system.after else -1,
+            max_step=parameter(MAX_STEP),
+            max_steps=parameter(MAX_STEPS),
+            friction_step=parameter(FRICTION_STEP),
+        )
+
+        def add(name: str, blocks: Iterable[tuple[Any, Sequence[int]]], to_output: bool = False) -> None:
+            variant.kernels[name] = self._kernel(system, name, blocks, h, to_output)
+
+        def values(pairs: dict[str, SX]) -> tuple[Any, tuple[int, ...]]:
+            return ca.vertcat(*pairs.values()), slot(pairs)
+
+        def public(pairs: dict[str, tuple[Variable, SX]]) -> list[tuple[Any, tuple[int, ...]]]:
+            places = tuple(self.index[name] for name in pairs)
+            return [(ca.vertcat(*(expression for _, expression in pairs.values())), places)] if pairs else []
+
+        add("derive", [*(values(block) for block in system.constants), *public(system.calculated)])
+        add("start", [values({name: SX(state.initial) for name, state in group.items()})])
+        add("outputs", public(system.outputs))
+        for name, sampled in (("before", system.before), ("after", system.after), ("modes", system.modes)):
+            add(name, [values({n: system.updates[n] for n in sampled})] if sampled else [])
+        n = len(system.states)
+        if system.states:
+            step = ca.vertcat(proximal(system, h), 0) if system.dry else ca.vertcat(*rodas3(system, h))
+            add("step", [(step, range(n + 1))], to_output=True)
+            if self.sensitivities:
+                add("step_jacobian", [self._step_jacobian(system, step[:n])], to_output=True)
+        if system.smooth:
+            add("rates", [(system.rate_vector(), range(n))], to_output=True)
+            unknowns = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
+            knowns = system.vector([*system.states, *system.inputs])
+            jacobian = ca.jacobian(unknowns, knowns)
+            add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
+        return variant
+
+    def _step_jacobian(self, system: System, step: SX) -> tuple[SX, range]:
+        """Return d(x after the step)/d(x, chosen parameters), row-major; the constants' dependence is included."""
+        for name in self.sensitivities:
+            if name not in system.parameters:
+                raise BristleError(f"'{name}' is no parameter of '{system.name}'; known: {', '.join(system.parameters)}")
+        knowns = system.vector([*system.states, *self.sensitivities])
+        jacobian = ca.jacobian(system.expand(step), knowns)
+        return ca.vec(jacobian.T), range(jacobian.numel())
+
+    # -- identity ----------------------------------------------------------------------------------------------------
+
+    @property
+    def starts(self) -> list[float]:
+        """The content of `v[]` before anything is set."""
+        return [slot.start for slot in self.slots]
+
+    @property
+    def token(self) -> str:
+        """A GUID / instantiation token that follows from the interface alone."""
+        lines = [f"{s.index} {s.name} {s.kind} {s.variable.unit} {s.start!r}" for s in self.slots]
+        digest = hashlib.sha256("\n".join([self.name, *lines]).encode()).hexdigest()
+        return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"

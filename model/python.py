@@ -1,0 +1,63 @@
+"""A program as plain Python: generated text, or the same functions evaluated by CasADi; both drive `runtime.Core`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from bristle.model.emit import emit_python
+from bristle.model.program import Kernel, Program
+from bristle.model.sources import KERNELS
+
+
+def python_source(program: Program) -> str:
+    """Return a module text with START, SELECTOR and VARIANTS, which imports nothing but math."""
+    text = [f'"""{program.name}: the equations (generated)."""', "", "import math", "", ""]
+    entries = []
+    for variant in program.variants:
+        kept = {n: k for n, k in variant.kernels.items() if k.blocks or n in ("derive", "start", "outputs")}
+        text += [emit_python(kernel) for kernel in kept.values()]
+        pairs = [f'"name": "{variant.system.name}"']
+        pairs += [f'"{n}": {kept[n].name if n in kept else None}' for n in KERNELS]
+        pairs += [f'"{n}": {list(getattr(variant, n))}' for n in ("states", "ders", "finite")]
+        pairs += [f'"{n}": {getattr(variant, n)}' for n in ("sample_time", "max_step", "max_steps", "friction_step")]
+        entries.append("    {" + ", ".join(pairs) + "},")
+    text += [f"START = {program.starts!r}", f"SELECTOR = {program.index[program.selector] if program.selector else -1}"]
+    return "\n".join([*text, "VARIANTS = [", *entries, "]", ""])
+
+
+def python_tables(program: Program) -> SimpleNamespace:
+    """Return the generated Python module as a namespace for `runtime.Core`."""
+    namespace: dict[str, Any] = {}
+    exec(compile(python_source(program), f"<{program.name}>", "exec"), namespace)
+    return SimpleNamespace(**{k: namespace[k] for k in ("START", "SELECTOR", "VARIANTS")})
+
+
+def _evaluator(kernel: Kernel) -> Callable[[list[float], float, list[float] | None], None]:
+    def run(v: list[float], h: float, out: list[float] | None) -> None:
+        for function, targets in kernel.blocks:
+            result = np.asarray(function(np.array([v[i] for i in kernel.reads]), h)).ravel()
+            into = out if kernel.to_output else v
+            assert into is not None
+            for place, value in zip(targets, result, strict=True):
+                into[place] = float(value)
+
+    return run
+
+
+def casadi_tables(program: Program) -> SimpleNamespace:
+    """Return the program's functions as CasADi evaluates them, for `runtime.Core`: an independent arithmetic."""
+    variants = []
+    for variant in program.variants:
+        entry: dict[str, Any] = {"name": variant.system.name}
+        for name in KERNELS:
+            kernel = variant.kernels.get(name)
+            kept = kernel is not None and (kernel.blocks or name in ("derive", "start", "outputs"))
+            entry[name] = _evaluator(kernel) if kernel is not None and kept else None
+        entry |= {n: list(getattr(variant, n)) for n in ("states", "ders", "finite")}
+        entry |= {n: getattr(variant, n) for n in ("sample_time", "max_step", "max_steps", "friction_step")}
+        variants.append(entry)
+    selector = program.index[program.selector] if program.selector else -1
+    return SimpleNamespace(START=program.starts, SELECTOR=selector, VARIANTS=variants)

@@ -1,0 +1,57 @@
+"""A program as C99 sources: generated model.h and model.c beside the fixed core.h and core.c."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+
+from bristle.model.emit import emit_c
+from bristle.model.program import Program, Variant
+
+KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian")
+
+
+def _list(values: Sequence[int]) -> str:
+    return "{" + ", ".join(map(str, values or [-1])) + "}"
+
+
+def _variant(variant: Variant) -> tuple[str, str]:
+    """Return (tables, entry of VARIANTS) of one variant."""
+    name = variant.system.name
+    groups = {"states": variant.states, "ders": variant.ders, "finite": variant.finite}
+    tables = "".join(f"static const int {name}_{group}[] = {_list(places)};\n" for group, places in groups.items())
+    used = {k: variant.kernels[k] for k in KERNELS if k in variant.kernels}
+    always = ("derive", "start", "outputs")
+    pointers = [used[k].name if k in used and (used[k].blocks or k in always) else "0" for k in KERNELS]
+    numbers = [len(variant.states), len(variant.finite), *(f"{name}_{group}" for group in groups)]
+    places = [variant.sample_time, variant.max_step, variant.max_steps, variant.friction_step]
+    return tables, "    {" + ", ".join(map(str, [*pointers, *numbers, *places])) + "}"
+
+
+def c_sources(program: Program) -> dict[str, str]:
+    """Return file name -> text of everything that makes the program run, standing alone."""
+    most = max(len(a.states) for a in program.variants)
+    jacobian = max(a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0 for a in program.variants)
+    header = f"""/* {program.name}: {program.description} (generated) */
+#ifndef BRISTLE_MODEL_H
+#define BRISTLE_MODEL_H
+#define N_V {len(program.slots)}
+#define N_X {most}
+#define N_VARIANTS {len(program.variants)}
+#define N_JACOBIAN {jacobian}
+#define N_SENSITIVITIES {len(program.sensitivities)}
+#define SELECTOR ({program.index[program.selector] if program.selector else -1})
+#endif
+"""
+    body = [f"/* {program.name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
+    entries = []
+    for variant in program.variants:
+        body += [emit_c(kernel) for kernel in variant.kernels.values() if kernel.blocks or kernel.name.endswith(("_derive", "_start", "_outputs"))]
+        tables, entry = _variant(variant)
+        body.append(tables)
+        entries.append(entry)
+    body.append("const Variant VARIANTS[N_VARIANTS] = {\n" + ",\n".join(entries) + "\n};")
+    body.append("const double START[N_V] = {" + ", ".join(repr(float(x)) for x in program.starts) + "};\n")
+    folder = files("bristle.model") / "c"
+    fixed = {name: (folder / name).read_text(encoding="utf-8") for name in ("core.h", "core.c")}
+    return {"model.h": header, "model.c": "\n".join(body), **fixed}

@@ -1,0 +1,171 @@
+"""`System`: named variables and their equations, written once, from which everything else is generated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+from bristle.model.errors import BristleError
+from bristle.model.variables import Namespace, Parameter, State, Variable
+
+SX = ca.SX
+
+SAMPLE_TIME = Parameter(
+    "sample_time", "Ts", "s", 1e-3, 1e-6, 1.0, "sampling period", "dixit2008 section IV-C"
+)
+TOLERANCE = Parameter(
+    "solver.tolerance", "tol", "1", 1e-6, 1e-13, 1e-2,
+    "local error allowed in one internal step, relative to the size of each state", "sandu1997 section 3"
+)
+MAX_STEP = Parameter("solver.max_step", "h_max", "s", 1e-3, 1e-7, 1.0, "longest internal step", "sandu1997 section 3")
+MAX_STEPS = Parameter(
+    "solver.max_steps", "n_max", "1", 1e6, 1.0, 1e9,
+    "internal steps and samples allowed in one communication step", "sandu1997 section 3"
+)
+FRICTION_STEP = Parameter(
+    "solver.friction_step", "h", "s", 1e-4, 1e-7, 1e-2,
+    "internal step of the set-valued friction (first-order accurate)", "moreau1988 section 9"
+)
+
+
+@dataclass(frozen=True)
+class DryRow:
+    """The one row J v' = T - f with f in bound * Sgn(v): state `row`, inertia J and friction bound N as expressions."""
+
+    row: str
+    inertia: Any
+    bound: Any
+
+
+@dataclass
+class System:
+    """A servo, an observer or a controller as equations over named symbols.
+
+    Continuous states obey x' = f; sampled states change every `sample_time`, either *before* an interval is
+    integrated (they use the inputs of its start: delay lines, observers, controllers) or *after* it (sensors, which
+    see the states of its end); modes change at the end of an internal step; at most one row carries dry friction.
+    """
+
+    name: str
+    description: str = ""
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    inputs: dict[str, Variable] = field(default_factory=dict)
+    outputs: dict[str, tuple[Variable, SX]] = field(default_factory=dict)
+    calculated: dict[str, tuple[Variable, SX]] = field(default_factory=dict)
+    constants: list[dict[str, SX]] = field(default_factory=list)
+    states: dict[str, State] = field(default_factory=dict)
+    rates: dict[str, SX] = field(default_factory=dict)
+    before: dict[str, State] = field(default_factory=dict)
+    after: dict[str, State] = field(default_factory=dict)
+    modes: dict[str, State] = field(default_factory=dict)
+    updates: dict[str, SX] = field(default_factory=dict)
+    dry: DryRow | None = None
+    symbols: dict[str, SX] = field(default_factory=dict)
+    time: SX = field(default_factory=lambda: SX.sym("time"))
+
+    # -- declarations; each returns the symbol to write equations with ---------------------------------------------
+
+    def _symbol(self, name: str) -> SX:
+        if name in self.symbols:
+            raise BristleError(f"system '{self.name}' declares '{name}' twice; rename one of them")
+        self.symbols[name] = SX.sym(name)
+        return self.symbols[name]
+
+    def parameter(self, parameter: Parameter) -> SX:
+        """Declare a parameter; declaring the same one again is allowed and returns the same symbol."""
+        if self.parameters.get(parameter.name) == parameter:
+            return self.symbols[parameter.name]
+        self.parameters[parameter.name] = parameter
+        return self._symbol(parameter.name)
+
+    def input(self, variable: Variable) -> SX:
+        """Declare an input, held constant over a communication step."""
+        self.inputs[variable.name] = variable
+        return self._symbol(variable.name)
+
+    def state(self, state: State) -> SX:
+        """Declare a continuous state; give its equation with `rate`."""
+        for parameter in (TOLERANCE, MAX_STEP, MAX_STEPS):
+            self.parameter(parameter)
+        self.states[state.name] = state
+        return self._symbol(state.name)
+
+    def sampled(self, state: State, *, after: bool = False) -> SX:
+        """Declare a sampled state; give its next value with `update`."""
+        for parameter in (SAMPLE_TIME, MAX_STEPS):
+            self.parameter(parameter)
+        (self.after if after else self.before)[state.name] = state
+        return self._symbol(state.name)
+
+    def mode(self, state: State) -> SX:
+        """Declare a mode, switched at the end of an internal step; give its next value with `update`."""
+        self.modes[state.name] = state
+        return self._symbol(state.name)
+
+    def constant(self, values: dict[str, SX]) -> Namespace:
+        """Declare constants computed once, at initialisation, from parameters and earlier constants."""
+        self.constants.append(values)
+        return Namespace({name: self._symbol(name) for name in values})
+
+    def calculate(self, variable: Variable, value: SX) -> None:
+        """Declare a calculated parameter: public, a function of parameters and constants."""
+        self.calculated[variable.name] = (variable, SX(value))
+
+    # -- equations ---------------------------------------------------------------------------------------------------
+
+    def rate(self, name: str, expression: SX) -> None:
+        """Set x' of a continuous state."""
+        self.rates[name] = SX(expression)
+
+    def update(self, name: str, expression: SX) -> None:
+        """Set the next value of a sampled state or a mode."""
+        self.updates[name] = SX(expression)
+
+    def output(self, variable: Variable, expression: SX) -> None:
+        """Declare an output and its equation."""
+        self.outputs[variable.name] = (variable, SX(expression))
+
+    def dry_friction(self, row: str, inertia: SX, bound: SX) -> None:
+        """Put set-valued friction of the given bound [N.m] on the rate of `row`, whose inertia is `inertia`."""
+        if self.dry is not None:
+            raise BristleError(f"system '{self.name}' already has a dry-friction row ('{self.dry.row}'); only one is allowed")
+        self.parameter(FRICTION_STEP)
+        self.dry = DryRow(row, SX(inertia), SX(bound))
+
+    # -- views -------------------------------------------------------------------------------------------------------
+
+    @property
+    def smooth(self) -> bool:
+        """True if x' = f(x, u) is all there is: no sampled states, modes or dry friction."""
+        return bool(self.states) and not (self.before or self.after or self.modes or self.dry)
+
+    def namespace(self, prefix: str = "") -> Namespace:
+        """Return all symbols for attribute access."""
+        return Namespace(self.symbols, prefix)
+
+    def vector(self, names: Sequence[str]) -> SX:
+        """Return the symbols of `names` as a column."""
+        return ca.vertcat(*(self.symbols[name] for name in names)) if names else SX(0, 1)
+
+    def rate_vector(self) -> SX:
+        """Return x' as a column, in the order of `states` (without the dry friction)."""
+        return ca.vertcat(*(self.rates[name] for name in self.states)) if self.states else SX(0, 1)
+
+    def expand(self, expression: SX) -> SX:
+        """Replace the constants in `expression` by their formulas, so that it can be differentiated by parameters."""
+        for values in reversed(self.constants):
+            names = list(values)
+            [expression] = ca.substitute([expression], [self.vector(names)], [ca.vertcat(*values.values())])
+        return expression
+
+    def check(self) -> System:
+        """Raise `BristleError` if an equation is missing or belongs to nothing; otherwise return self."""
+        sampled = {**self.before, **self.after, **self.modes}
+        for what, declared, given in (("rate", self.states, self.rates), ("update", sampled, self.updates)):
+            for name in declared.keys() ^ given.keys():
+                raise BristleError(f"system '{self.name}': '{name}' needs both a state and a {what}; add the missing one")
+        if self.dry is not None and self.dry.row not in self.states:
+            raise BristleError(f"system '{self.name}': dry friction acts on '{self.dry.row}', which is not a state")
+        return self

@@ -1,0 +1,1 @@
+"""Adaptive observers, one a file."""

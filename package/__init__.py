@@ -1,0 +1,1 @@
+"""Bristle: servo friction and the adaptive observers that identify it, as FMUs."""

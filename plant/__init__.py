@@ -1,0 +1,1 @@
+"""The servo: drive, friction law, encoder."""

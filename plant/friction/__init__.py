@@ -1,0 +1,24 @@
+"""Friction laws, one a file: a file here with a `LAW` is a law everywhere (FMU, scenarios, command line)."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+from bristle.model.errors import BristleError
+from bristle.plant.law import FrictionLaw
+
+
+def laws() -> dict[str, FrictionLaw]:
+    """Return all laws by name, in alphabetical order of their files."""
+    modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
+    found = [importlib.import_module(f"{__name__}.{name}").LAW for name in modules]
+    return {law.name: law for law in found}
+
+
+def law(name: str) -> FrictionLaw:
+    """Return the law `name`; raise `BristleError` for an unknown one."""
+    known = laws()
+    if name not in known:
+        raise BristleError(f"unknown friction law '{name}'; known: {', '.join(known)}")
+    return known[name]

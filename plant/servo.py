@@ -1,0 +1,115 @@
+"""The servo: voltage drive with saturation, inertia, a friction law, and (optionally) an encoder."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import casadi as ca
+from bristle.model.program import Program
+from bristle.model.system import SAMPLE_TIME, System
+from bristle.model.variables import Parameter, State, Variable
+from bristle.plant.friction import law as find_law
+from bristle.plant.friction import laws
+from bristle.plant.law import FrictionLaw
+
+SX = ca.SX
+
+J = Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7), section IV-A")
+B = Parameter("b", "b", "N.m/V", 0.0065, -1e6, 1e6, "torque per volt of the drive", "dixit2008 eq. (7)")
+A2 = Parameter("a2", "alpha2", "N.m.s/rad", 0.002, 0.0, 1e6, "viscous friction", "dixit2008 eq. (8)")
+U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage the drive can give", "dixit2008 section IV-A")
+THETA_START = Parameter("theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "position at the start", "dixit2008 eq. (7)")
+V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e6, 1e6, "velocity at the start", "dixit2008 eq. (7)")
+COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
+
+NORMALISED = {
+    "alpha2": ("1/s", "viscous friction over inertia"),
+    "b": ("rad/(s2.V)", "drive gain over inertia"),
+    "Fc": ("rad/s2", "Coulomb friction over inertia"),
+    "sigma0": ("1/s2", "stiffness over inertia"),
+    "sigma1": ("1/s2", "weight of basis function 1"),
+    "sigma2": ("1/s2", "weight of basis function 2"),
+    "c": ("1/rad", "inverse presliding distance"),
+    "tau": ("s", "bristle damping over stiffness"),
+}
+
+
+def servo(law: FrictionLaw, encoder: bool = True) -> System:
+    """Compose a law into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2 v, theta' = v.
+
+    Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load scales friction.
+    """
+    system = System(law.name, law.description)
+    j, b, a2, u_max = (system.parameter(p) for p in (J, B, A2, U_MAX))
+    theta_start, v_start = system.parameter(THETA_START), system.parameter(V_START)
+    for parameter in law.parameters:
+        system.parameter(parameter)
+    u = system.input(Variable("u", "V", "voltage asked of the drive"))
+    tau_load = system.input(Variable("tau_load", "N.m", "external torque on the shaft"))
+    load_scale = system.input(Variable("load_scale", "1", "normal load over its nominal value; scales dry friction", 1.0, minimum=0.0))
+    theta = system.state(State("theta", "rad", "position", initial=theta_start))
+    v = system.state(State("v", "rad/s", "velocity", initial=v_start))
+    p = system.namespace(f"{law.name}.")
+    for state in law.states:
+        system.state(replace(state, scale=state.scale(p) if callable(state.scale) else state.scale))
+    friction = law.equations(p, v)
+    torque = b * ca.fmin(ca.fmax(u, -u_max), u_max) + tau_load
+    smooth = load_scale * friction.force + a2 * v
+    system.rate("theta", v)
+    system.rate("v", (torque - smooth) / j)
+    for name, rate in friction.rates.items():
+        system.rate(name, rate)
+    force = smooth
+    if friction.bound is not None:
+        bound = load_scale * friction.bound
+        system.dry_friction("v", j, bound)
+        # at rest the friction is whatever holds the shaft, up to the bound
+        force = smooth + ca.if_else(v == 0, ca.fmin(ca.fmax(torque - smooth, -bound), bound), bound * ca.sign(v))
+    system.output(Variable("theta", "rad", "position"), theta)
+    system.output(Variable("v", "rad/s", "velocity"), v)
+    system.output(Variable("F", "N.m", "friction torque, viscous part included"), force)
+    if encoder:
+        _encoder(system, theta, theta_start)
+    _true_values(system, {"alpha2": a2 / j, "b": b / j, **friction.true})
+    return system
+
+
+def _encoder(system: System, theta: SX, theta_start: SX) -> None:
+    """Counts floored to the grid, and their difference over a sampling period.
+
+    Source: dixit2008 section IV-A (10 000 pulses, quadrature: 40 000 counts a turn).
+    """
+    counts, period = system.parameter(COUNTS), system.parameter(SAMPLE_TIME)
+    grid = 2 * math.pi / counts
+    start = ca.floor(theta_start / grid)
+    now = system.sampled(State("count", "1", "encoder count", initial=start), after=True)
+    rate = system.sampled(State("count_change", "1", "counts in the last period", initial=0.0), after=True)
+    system.update("count", ca.floor(theta / grid))
+    system.update("count_change", ca.floor(theta / grid) - now)
+    system.output(Variable("theta_enc", "rad", "position the encoder shows"), now * grid)
+    system.output(Variable("v_enc", "rad/s", "velocity from the encoder's counts"), rate * grid / period)
+
+
+def _true_values(system: System, true: dict[str, SX]) -> None:
+    """Publish the normalised parameters; what the law does not have is NaN and not valid."""
+    for name, (unit, description) in NORMALISED.items():
+        value = true.get(name, SX(math.nan))
+        system.calculate(Variable(f"true.{name}", unit, f"{description}, as an observer should find it"), value)
+        valid = Variable(f"true.{name}_valid", "1", f"the law has a true value of {name}", boolean=True)
+        system.calculate(valid, SX(1.0 if name in true else 0.0))
+
+
+def servo_program(law: str | None = None, *, encoder: bool = True, sensitivities: tuple[str, ...] = ()) -> Program:
+    """Return the servo as a program: all laws behind the selector `law`, or one law alone.
+
+    Raises
+    ------
+    BristleError
+        If the law is unknown.
+    """
+    if law is not None:
+        system = servo(find_law(law), encoder)
+        return Program(f"ServoPlant_{law}", [system], description=f"servo with {system.description}", sensitivities=sensitivities)
+    systems = [servo(each, encoder) for each in laws().values()]
+    return Program("ServoPlant", systems, "law", "servo with a friction law chosen by the parameter law")
