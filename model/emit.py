@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import casadi as ca
+
 from bristle.model.program import Kernel
 
 # {0}, {1}: operands. A minimum or maximum lets NaN through in both languages.

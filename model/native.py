@@ -8,12 +8,13 @@ from functools import cached_property
 from importlib.resources import files
 
 import numpy as np
+from numpy.typing import NDArray
+
 from bristle.model.cache import cached, digest
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, find_compiler
 from bristle.model.errors import BristleError, SimulationError
 from bristle.model.program import Program
 from bristle.model.sources import c_sources
-from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
+
 from bristle.model.errors import BristleError
 from bristle.model.proximal import proximal
 from bristle.model.rosenbrock import rodas3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+
 from bristle.model.linear import Elimination
 from bristle.model.system import System
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
+
 from bristle.model.errors import BristleError
 from bristle.model.variables import Namespace, Parameter, State, Variable
 

@@ -1,1 +1,34 @@
-"""Adaptive observers, one a file."""
+"""Adaptive observers, one a file: a file here with a `METHOD` is a method everywhere (FMU, scenarios, command line)."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+from bristle.model.errors import BristleError
+from bristle.model.program import Program
+from bristle.observer.method import Method, observer
+
+
+def methods() -> dict[str, Method]:
+    """Return all methods by name, in alphabetical order of their files."""
+    modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
+    found = [getattr(importlib.import_module(f"{__name__}.{name}"), "METHOD", None) for name in modules]
+    return {method.name: method for method in found if method is not None}
+
+
+def observer_program(method: str | None = None) -> Program:
+    """Return the observers as a program: all methods behind the selector `method`, or one alone.
+
+    Raises
+    ------
+    BristleError
+        If the method is unknown.
+    """
+    known = methods()
+    if method is None:
+        systems = [observer(each) for each in known.values()]
+        return Program("AdaptiveObserver", systems, "method", "adaptive observer, chosen by the parameter method")
+    if method not in known:
+        raise BristleError(f"unknown observer '{method}'; known: {', '.join(known)}")
+    return Program(f"AdaptiveObserver_{method}", [observer(known[method])])

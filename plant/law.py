@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import casadi as ca
+
 from bristle.model.variables import Namespace, Parameter, State
 
 SX = ca.SX

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import casadi as ca
+
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Parameter, State, Variable
@@ -47,7 +48,7 @@ def servo(law: FrictionLaw, encoder: bool = True) -> System:
         system.parameter(parameter)
     u = system.input(Variable("u", "V", "voltage asked of the drive"))
     tau_load = system.input(Variable("tau_load", "N.m", "external torque on the shaft"))
-    load_scale = system.input(Variable("load_scale", "1", "normal load over its nominal value; scales dry friction", 1.0, minimum=0.0))
+    load_scale = system.input(Variable("load_scale", "1", "normal load over nominal; scales dry friction", 1.0, minimum=0.0))
     theta = system.state(State("theta", "rad", "position", initial=theta_start))
     v = system.state(State("v", "rad/s", "velocity", initial=v_start))
     p = system.namespace(f"{law.name}.")

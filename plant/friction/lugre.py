@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import casadi as ca
+
 from bristle.model.basis import BASIS_COUNT, gaussian
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
 
 SX = ca.SX
 
+EQUATION = "dixit2008 eq. (17)"
 _DEFAULTS = {"gaussian": (600.0, 800.0, 300.0), "polynomial": (1000.0, -60.0, 2.0)}  # sigma0, sigma1, sigma2
 
 
@@ -37,9 +39,9 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
     values = (*_DEFAULTS[family], *[0.0] * count)
     low = {"gaussian": 0.0, "polynomial": -1e9}[family]
     sigma = [
-        Parameter(f"{name}.sigma0", "sigma0", "1/s2", values[0], 1e-6, 1e9, "stiffness over inertia", "dixit2008 eq. (17)"),
+        Parameter(f"{name}.sigma0", "sigma0", "1/s2", values[0], 1e-6, 1e9, "stiffness over inertia", EQUATION),
         *(
-            Parameter(f"{name}.sigma{i}", f"sigma{i}", "1/s2", values[i], low, 1e9, f"weight of basis function {i}", "dixit2008 eq. (17)")
+            Parameter(f"{name}.sigma{i}", f"sigma{i}", "1/s2", values[i], low, 1e9, f"weight of basis function {i}", EQUATION)
             for i in range(1, count + 1)
         ),
     ]

@@ -1,0 +1,101 @@
+"""Step 1 of Approach II: Bastin-Gevers' observer for alpha2, b and Fc at high speed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+SX = ca.SX
+DEGREE = math.pi / 180.0
+EQUATION = "bastin1988 eq. (3); dixit2008 eq. (3) and (23)"
+NAMES = {"alpha2": "1/s", "b": "rad/(s2.V)", "Fc": "rad/s2"}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Gate vc in deg/s, c1 in 1/s, Gamma for (alpha2, b, Fc), in the units in which the step computes."""
+
+    vc: float
+    c1: float
+    gamma: tuple[float, float, float]
+
+
+REPAIRED = Settings(vc=85.0, c1=100.0, gamma=(400.0, 400.0, 800.0))
+PRINTED = Settings(vc=50.0, c1=100.0, gamma=(1e-3, 1e-3, 1e-4))
+
+
+def parameters(prefix: str, settings: Settings) -> tuple[Parameter, ...]:
+    """Declare gate, gains and starts under a method's name."""
+    return (
+        Parameter(f"{prefix}.vc", "vc", "rad/s", settings.vc * DEGREE, 0.0, 1e3, "speed above which step 1 adapts", EQUATION),
+        Parameter(f"{prefix}.c1", "c1", "1/s", settings.c1, 1e-3, 1e6, "output-error gain", EQUATION),
+        *(
+            Parameter(f"{prefix}.gamma{i}", f"Gamma{i}", "1", gain, 0.0, 1e9, f"adaptation gain of {name}", EQUATION)
+            for i, (name, gain) in enumerate(zip(NAMES, settings.gamma, strict=True), start=1)
+        ),
+        *(
+            Parameter(f"{prefix}.{name}_start", name, unit, 0.0, -1e6, 1e6, f"start of the estimate of {name}", EQUATION)
+            for name, unit in NAMES.items()
+        ),
+    )
+
+
+def states(velocity_unit: float = 1.0, input_unit: float = 1.0) -> tuple[State, ...]:
+    """Declare the states of step 1, which computes with v / velocity_unit and u / input_unit."""
+    scale = {"alpha2": 1.0, "b": input_unit / velocity_unit, "Fc": 1.0 / velocity_unit}
+    return (
+        *(
+            State(f"step1_{name}", unit, f"estimate of {name}", initial=lambda p, n=name, k=scale[name]: p[f"{n}_start"] * k)
+            for name, unit in NAMES.items()
+        ),
+        State("step1_v", "rad/s", "velocity estimate of step 1"),
+        State("step1_gate", "1", "1 while step 1 adapts"),
+    )
+
+
+def adapt(p: Namespace, s: Sample, vc: SX) -> dict[str, SX]:
+    """Advance x^ and theta^ over one sample: x' = phi theta, phi = [-v, u, -sgn v], while |v| > vc.
+
+    Held over a sample: phi takes the mean of the two velocities (an Euler step on y_(k-1) biases b by c1 Ts/2), the
+    output injection c1 decays exactly, and the gradient is taken at the error after the step, which keeps any gain
+    stable. At gate entry x^ is set to the measured velocity.
+
+    Source: bastin1988 eq. (3); dixit2008 eq. (3) with n = 1, R = 0 and section IV-E.
+    """
+    theta = ca.vertcat(p.step1_alpha2, p.step1_b, p.step1_Fc)
+    gamma = ca.vertcat(p.gamma1, p.gamma2, p.gamma3)
+    gate = ca.logic_and(ca.fmin(ca.fabs(s.y0), ca.fabs(s.y1)) > vc, s.y0 * s.y1 > 0)
+    x = ca.if_else(p.step1_gate > 0, p.step1_v, s.y0)
+    phi = ca.vertcat(-(s.y0 + s.y1) / 2, s.u, -ca.sign(s.y0))
+    predicted = x + s.period * ca.dot(phi, theta)
+    error = (s.y1 - predicted) / (1 + s.period**2 * ca.dot(phi, gamma * phi))
+    theta_new = ca.if_else(gate, theta + s.period * gamma * phi * error, theta)
+    x_new = ca.if_else(gate, predicted + (1 - ca.exp(-p.c1 * s.period)) * error, s.y1)
+    names = [f"step1_{name}" for name in NAMES]
+    return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {"step1_v": x_new, "step1_gate": SX(gate)}
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    return Update(
+        next=adapt(p, s, p.vc),
+        estimates={name: p[f"step1_{name}"] for name in NAMES},
+        signals={"v": p.step1_v},
+        first={"step1_v": s.y1},
+    )
+
+
+METHOD = Method(
+    "bastin_gevers",
+    "Bastin-Gevers observer of alpha2, b and Fc, gated to high speed",
+    "bastin1988 eq. (3)",
+    "y_v",
+    parameters("bastin_gevers", REPAIRED),
+    states(),
+    _equations,
+)

@@ -1,0 +1,78 @@
+"""Step 2 of Approach II: Besancon-Zhang-Hammouri's observer on velocity with a matrix gain."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Namespace
+from bristle.observer import zhang
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+SX = ca.SX
+K0 = (2.0, 1.0)
+LAM = 50.0
+STARTS = (300.0, 300.0, 300.0, 100.0)  # round numbers, of no plant
+
+
+def filter_of(shop: Workshop, s: Sample) -> zhang.Filter:
+    """Compute the exact second-order filter from the gains k1, k2 and lam."""
+    p = shop.p
+    return zhang.make_filter(shop, ca.vertcat(p.k1, p.k2), p.lam, s.period)
+
+
+def predict(
+    f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, unit: float = 1.0
+) -> tuple[SX, SX]:
+    """Advance x^ = (v^, -w^) and Ups over one sample for x1' = x2 - alpha2 v + b u, x2' = psi theta.
+
+    v is the measured velocity, linear between samples, u is held. The term c |v| x2 of psi at the end of the sample
+    holds the unknown x2; being linear in it, it is solved for.
+
+    Source: dixit2008 section IV-E; zhang.py for the filter.
+    """
+    psi0, psi1 = zhang.regressor(s.y0, x[1], unit), zhang.regressor(s.y1, SX(0), unit)
+    f0 = ca.vertcat(-alpha2 * s.y0 + b * s.u, psi0 @ theta) + f.k * s.y0
+    f1 = ca.vertcat(-alpha2 * s.y1 + b * s.u, psi1 @ theta) + f.k * s.y1
+    free = f.phi @ x + f.m0 @ f0 + f.m1 @ f1
+    rate = ca.fabs(s.y1) * theta[3]
+    x2 = free[1] / (1 + f.m1[1, 1] * rate)
+    x_new = ca.vertcat(free[0] - f.m1[0, 1] * rate * x2, x2)
+    psi1 = zhang.regressor(s.y1, x2, unit)
+    return x_new, f.phi @ ups + f.m0[:, 1] @ psi0 + f.m1[:, 1] @ psi1
+
+
+def step(shop: Workshop, s: Sample, f: zhang.Filter, alpha2: SX, b: SX) -> dict[str, SX]:
+    """Return the next states of the matrix-gain observer with the given alpha2 and b."""
+    p = shop.p
+    x, ups, theta, mean = zhang.read(p, 2)
+    x, ups = predict(f, x, ups, theta, s, alpha2, b)
+    low = ca.vertcat(*zhang.LOWEST)
+    x, theta = zhang.correct(ups, x, theta, s.y1 - x[0], zhang.matrix_gain(p), s.period, low)
+    return zhang.write(x, ups, theta, mean, zhang.averaging_weight(p, s.period))
+
+
+def published(p: Namespace, alpha2: SX, b: SX) -> tuple[dict[str, SX], dict[str, SX]]:
+    """Return (estimates, signals): the averaged parameters, and the state estimates of the moment."""
+    estimates = {name: p[f"mean_{name}"] for name in zhang.NAMES}
+    return estimates, {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    estimates, signals = published(p, p.alpha2, p.b)
+    return Update(step(shop, s, filter_of(shop, s), p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
+
+
+METHOD = Method(
+    "besancon",
+    "Besancon-Zhang-Hammouri observer with a matrix gain; alpha2 and b known",
+    "besancon2004 eq. (6) with the gain of zhang2002",
+    "y_v",
+    (
+        *zhang.known_parameters("besancon"),
+        *zhang.gain_parameters("besancon", K0, LAM, STARTS),
+        *zhang.matrix_parameters("besancon"),
+    ),
+    zhang.states(2),
+    _equations,
+)

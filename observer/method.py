@@ -1,0 +1,172 @@
+"""What an observer method is, and how it becomes a sampled System with the inputs u and y only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from bristle.model.system import SAMPLE_TIME, System
+from bristle.model.variables import Namespace, Parameter, State, Variable
+
+SX = ca.SX
+
+ESTIMATES = {
+    "alpha2": ("1/s", "viscous friction over inertia"),
+    "b": ("rad/(s2.V)", "drive gain over inertia"),
+    "Fc": ("rad/s2", "Coulomb friction over inertia"),
+    "sigma0": ("1/s2", "stiffness over inertia"),
+    "sigma1": ("1/s2", "weight of basis function 1"),
+    "sigma2": ("1/s2", "weight of basis function 2"),
+    "c": ("1/rad", "inverse presliding distance"),
+    "tau": ("s", "bristle damping over stiffness"),
+}
+SIGNALS = {
+    "theta": ("rad", "position"),
+    "v": ("rad/s", "velocity"),
+    "w": ("rad/s2", "friction acceleration without the viscous part"),
+    "F": ("rad/s2", "friction acceleration, viscous part included"),
+}
+CONVERGENCE_TIME = 1.0  # s, over which the convergence measure averages
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a method sees in a step from k-1 to k: u_(k-1) held between, the outputs y_(k-1) and y_k, the period."""
+
+    u: SX
+    y0: SX
+    y1: SX
+    period: SX
+
+
+@dataclass
+class Update:
+    """The result of a step: next values of all states, and what to publish as expressions of the *next* states.
+
+    `first` gives the values of states at the very first sample, where there is no step yet (others keep their start);
+    an estimate named in `valid` counts only where its expression is not zero.
+    """
+
+    next: dict[str, SX]
+    estimates: dict[str, SX]
+    signals: dict[str, SX] = field(default_factory=dict)
+    first: dict[str, SX] = field(default_factory=dict)
+    valid: dict[str, SX] = field(default_factory=dict)
+
+
+class Workshop:
+    """What a method's equations are written with: symbols of parameters and states, and constants made once."""
+
+    def __init__(self, system: System, p: Namespace) -> None:
+        self._system, self.p = system, p
+
+    def constant(self, name: str, value: SX) -> SX:
+        """Compute a matrix once, at initialisation, and return symbols of the same shape for it."""
+        rows, columns = value.shape
+        entries = {f"{name}_{i}_{j}": value[i, j] for i in range(rows) for j in range(columns)}
+        symbols = self._system.constant(entries)
+        return ca.reshape(ca.vertcat(*(symbols[entry] for entry in entries)), columns, rows).T
+
+
+@dataclass(frozen=True)
+class Method:
+    """An observer by name; `reads` is the one output it uses, y_v or y_theta; `estimates` are its parameters."""
+
+    name: str
+    description: str
+    source: str
+    reads: str
+    parameters: tuple[Parameter, ...]
+    states: tuple[State, ...]
+    equations: Callable[[Workshop, Sample], Update]
+
+
+def vector_states(name: str, unit: str, description: str, count: int, initial: object = 0.0) -> tuple[State, ...]:
+    """Return `count` states called name0, name1, ...; read them back with `stack`."""
+    return tuple(State(f"{name}{i}", unit, f"{description} ({i})", initial=initial) for i in range(count))
+
+
+def stack(p: Namespace, name: str, rows: int, columns: int = 1) -> SX:
+    """Return the states name0, name1, ... as a matrix, filled row by row."""
+    flat = ca.vertcat(*(p[f"{name}{i}"] for i in range(rows * columns)))
+    return ca.reshape(flat, columns, rows).T if columns > 1 else flat
+
+
+def unstack(name: str, values: SX) -> dict[str, SX]:
+    """Return the entries of a matrix as states name0, name1, ..., row by row."""
+    flat = ca.vec(values.T) if values.shape[1] > 1 else values
+    return {f"{name}{i}": flat[i] for i in range(flat.numel())}
+
+
+def observer(method: Method) -> System:
+    """Compose a method into a System that ticks once a period on the values its inputs then have.
+
+    Its outputs come from sampled states alone: what is published at t_(k+1) is the estimate for t_k.
+    """
+    system = System(method.name, method.description)
+    period = system.parameter(SAMPLE_TIME)
+    for parameter in method.parameters:
+        system.parameter(parameter)
+    inputs = {
+        "u": system.input(Variable("u", "V", "voltage of the drive")),
+        "y_theta": system.input(Variable("y_theta", "rad", "measured position")),
+        "y_v": system.input(Variable("y_v", "rad/s", "measured velocity")),
+    }
+    p = system.namespace(f"{method.name}.")
+    for state in method.states:
+        system.sampled(_with_start(state, p))
+    last_u = system.sampled(State("last_u", "V", "input at the last sample"))
+    last_y = system.sampled(State("last_y", "1", "output at the last sample"))
+    count = system.sampled(State("samples", "1", "samples seen so far"))
+    y = inputs[method.reads]
+    update = method.equations(Workshop(system, p), Sample(last_u, last_y, y, period))
+    started = count > 0
+    for state in method.states:
+        held = update.first.get(state.name, system.symbols[state.name])
+        system.update(state.name, ca.if_else(started, update.next[state.name], held))
+    system.update("last_u", inputs["u"])
+    system.update("last_y", y)
+    system.update("samples", count + 1)
+    _publish(system, method, update, started, period)
+    return system.check()
+
+
+def _with_start(state: State, p: Namespace) -> State:
+    """Let the start of a state be a function of the parameters."""
+    initial = state.initial(p) if callable(state.initial) else state.initial
+    return State(state.name, state.unit, state.description, initial=initial)
+
+
+def _publish(system: System, method: Method, update: Update, started: SX, period: SX) -> None:
+    """Declare the outputs: every estimate and signal there is, NaN and not valid where the method has none."""
+    for name, (unit, description) in SIGNALS.items():
+        value = update.signals.get(name, SX(math.nan))
+        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), value)
+    for name, (unit, description) in ESTIMATES.items():
+        value = update.estimates.get(name, SX(math.nan))
+        valid = update.valid.get(name, SX(1.0 if name in update.estimates else 0.0))
+        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), value)
+        known = Variable(f"{name}_valid", "1", f"{name}_hat is an estimate", boolean=True)
+        system.output(known, valid)
+    system.output(
+        Variable("convergence", "1/s", "fastest relative change of an estimate, averaged over 1 s; small when settled"),
+        _convergence(system, update, started, period),
+    )
+
+
+def _convergence(system: System, update: Update, started: SX, period: SX) -> SX:
+    """Average the largest |d theta_i/dt| / |theta_i| with a first-order filter."""
+    measure = system.sampled(State("convergence_state", "1/s", "average relative change of the estimates"))
+    names = [name for name in system.updates if name in system.before]
+    before = ca.vertcat(*update.estimates.values())
+    [after] = ca.substitute([before], [system.vector(names)], [ca.vertcat(*(system.updates[n] for n in names))])
+    change = ca.fabs(after - before) / ca.fmax(ca.fabs(after), 1e-9)
+    fastest = change[0]
+    for i in range(1, change.numel()):
+        fastest = ca.fmax(fastest, change[i])
+    average = measure + period / CONVERGENCE_TIME * (ca.fmin(fastest / period, 1e6) - measure)
+    system.update("convergence_state", ca.if_else(started, average, measure))
+    return measure

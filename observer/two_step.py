@@ -1,0 +1,63 @@
+"""Approach II as a whole: Bastin-Gevers, then Besancon with a matrix gain on its alpha2 and b, both always visible."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.observer import bastin_gevers, besancon, zhang
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+SX = ca.SX
+
+
+def start_parameter(prefix: str) -> Parameter:
+    """Declare when step 2 begins."""
+    return Parameter(f"{prefix}.step2_start", "T2", "s", 100.0, 0.0, 1e6, "when step 2 begins", "dixit2008 section IV-E")
+
+
+def begun(shop: Workshop, s: Sample) -> SX:
+    """Return 1 from the start of step 2 on."""
+    return SX(shop.p.samples * s.period >= shop.p.step2_start)
+
+
+def when(go: SX, update: dict[str, SX], rest: dict[str, SX]) -> dict[str, SX]:
+    """Return the update where step 2 runs and `rest` (or the present value) where it waits."""
+    return {name: ca.if_else(go, value, rest[name]) for name, value in update.items()}
+
+
+def waiting(shop: Workshop, y: SX) -> dict[str, SX]:
+    """Return what step 2 holds while it waits: its states, with the velocity estimate following the measurement."""
+    x, ups, theta, mean = zhang.read(shop.p, 2)
+    return zhang.write(ca.vertcat(y, x[1]), ups, theta, mean, SX(0))
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    go = begun(shop, s)
+    alpha2, b = p.step1_alpha2, p.step1_b
+    step2 = besancon.step(shop, s, besancon.filter_of(shop, s), alpha2, b)
+    estimates, signals = besancon.published(p, alpha2, b)
+    return Update(
+        next=bastin_gevers.adapt(p, s, p.vc) | when(go, step2, waiting(shop, s.y1)),
+        estimates={name: p[f"step1_{name}"] for name in bastin_gevers.NAMES} | estimates,
+        signals=signals,
+        first={"step1_v": s.y1, "x0": s.y1},
+        valid={name: begun(shop, s) for name in zhang.NAMES},
+    )
+
+
+METHOD = Method(
+    "two_step",
+    "Approach II: Bastin-Gevers, then Besancon-Zhang-Hammouri with a matrix gain on its alpha2 and b",
+    "dixit2008 section III, Approach II",
+    "y_v",
+    (
+        start_parameter("two_step"),
+        *bastin_gevers.parameters("two_step", bastin_gevers.REPAIRED),
+        *zhang.gain_parameters("two_step", besancon.K0, besancon.LAM, besancon.STARTS),
+        *zhang.matrix_parameters("two_step"),
+    ),
+    (*bastin_gevers.states(), *zhang.states(2)),
+    _equations,
+)

@@ -1,0 +1,47 @@
+"""Approach II with everything as printed: gains, basis, gate, zero starts; kept to show that it does not converge."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.observer import bastin_gevers, besancon_scalar, zhang
+from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.two_step import begun, start_parameter, waiting, when
+
+SX = ca.SX
+UNIT = besancon_scalar.UNIT  # v in deg/s, and u in as small a unit, so that both entries of the regressor count alike
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    """Run step 1 on (v, u) / UNIT, then step 2 in deg/s on its estimates.
+
+    Source: dixit2008 eq. (3), (6), (23), (24) and section IV-E.
+    """
+    p = shop.p
+    go = begun(shop, s)
+    scaled = Sample(s.u / UNIT, s.y0 / UNIT, s.y1 / UNIT, s.period)
+    alpha2, b = p.step1_alpha2, p.step1_b
+    step2 = besancon_scalar.step(shop, s, alpha2, b)
+    estimates, signals = besancon_scalar.published(shop, alpha2)
+    return Update(
+        next=bastin_gevers.adapt(p, scaled, p.vc / UNIT) | when(go, step2, waiting(shop, s.y1 / UNIT)),
+        estimates={"alpha2": alpha2, "b": b, "Fc": p.step1_Fc * UNIT} | estimates,
+        signals=signals,
+        first={"step1_v": s.y1 / UNIT, "x0": s.y1 / UNIT},
+        valid={name: begun(shop, s) for name in zhang.NAMES},
+    )
+
+
+METHOD = Method(
+    "two_step_printed",
+    "Approach II with the printed gains, gate and zero starts (does not converge)",
+    "dixit2008 section IV-E",
+    "y_v",
+    (
+        start_parameter("two_step_printed"),
+        *bastin_gevers.parameters("two_step_printed", bastin_gevers.PRINTED),
+        *zhang.gain_parameters("two_step_printed", besancon_scalar.K0, besancon_scalar.LAM, (0.0, 0.0, 0.0, 0.0)),
+    ),
+    (*bastin_gevers.states(UNIT, UNIT), *zhang.states(2)),
+    _equations,
+)

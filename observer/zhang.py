@@ -1,0 +1,164 @@
+"""The filter that Besancon's observer and its matrix-gain form share, held over a sample exactly.
+
+Besancon, Zhang and Hammouri's observer (6) is, in the coordinates Ups = lam^-n Lam^-1 G and K = lam Lam^-1 K0,
+    Ups' = (A0 - K C0) Ups + psi,   x^' = (A0 - K C0) x^ + phi + psi theta^ + K y + Ups theta^',
+    theta^' = S Ups' C0' (y - C0 x^),
+with S = lam^(2n) I as printed, or a matrix S.
+Source: besancon2004 eq. (6), zhang2002 eq. (5)-(8), dixit2008 eq. (6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from bristle.model.basis import gaussian
+from bristle.model.linear import expm
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer.method import Workshop, stack, unstack, vector_states
+
+SX = ca.SX
+EQUATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
+NAMES = {"sigma0": "1/s2", "sigma1": "1/s2", "sigma2": "1/s2", "c": "1/rad"}
+
+
+@dataclass(frozen=True)
+class Filter:
+    """x_k = phi x_(k-1) + m0 f_(k-1) + m1 f_k for x' = (A0 - K C0) x + f with f linear over the sample; K itself."""
+
+    phi: SX
+    m0: SX
+    m1: SX
+    k: SX
+
+
+def make_filter(shop: Workshop, k0: SX, lam: SX, period: SX) -> Filter:
+    """Compute the exact filter once, at initialisation, from K0 and lam.
+
+    The exponential is taken in the scaled coordinates of (6), where the matrix is smallest, with a first-order hold:
+    exp of [[A, I, 0], [0, 0, I/Ts], [0, 0, 0]] Ts.
+    Source: vanloan1978 section II.
+    """
+    n = k0.shape[0]
+    shift = SX(n, n)
+    for i in range(n - 1):
+        shift[i, i + 1] = 1
+    a = lam * shift
+    a[:, 0] = a[:, 0] - lam * k0
+    scale = ca.vertcat(*(lam**i for i in range(n)))  # Lam^-1
+    block = SX(3 * n, 3 * n)
+    block[:n, :n] = a * period
+    block[:n, n : 2 * n] = SX.eye(n) * period
+    block[n : 2 * n, 2 * n :] = SX.eye(n)
+    exponential = expm(block)
+    back = ca.diag(scale)
+    into = ca.diag(1 / scale)
+    phi, held, ramp = (back @ exponential[:n, i * n : (i + 1) * n] @ into for i in range(3))
+    # f = f0 + (f1 - f0) t/Ts
+    return Filter(
+        shop.constant("phi", phi),
+        shop.constant("m0", held - ramp),
+        shop.constant("m1", ramp),
+        shop.constant("k", lam * scale * k0),
+    )
+
+
+def regressor(v: SX, x2: SX, unit: float = 1.0) -> SX:
+    """psi of step 2 as a row, -[v, phi1 v, phi2 v, |v| x2], for v in `unit` rad/s.
+
+    Source: dixit2008 section IV-E, with the sign of x2 = -w kept in psi.
+    """
+    return -ca.horzcat(v, *(phi * v for phi in gaussian(v * unit)), ca.fabs(v) * x2)
+
+
+def correct(ups: SX, x: SX, theta: SX, error: SX, gain: SX, period: SX, low: SX | None) -> tuple[SX, SX]:
+    """Return (x, theta) after the gradient step on the output error, normalised implicitly, and projected.
+
+    d theta = Ts S h e / (1 + Ts h' S h) with h the first row of Ups, x += Ups d theta: the step that an implicit Euler
+    of theta^' = S h (e - h' d theta) takes, so that no gain is too large. Where `low` is given, theta stays above it.
+    """
+    h = ups[0, :].T
+    step = period * gain * h
+    new = theta + step * (error / (1 + ca.dot(h, step)))
+    if low is not None:
+        new = ca.fmax(new, low)
+    return x + ups @ (new - theta), new
+
+
+def states(order: int) -> tuple[State, ...]:
+    """Declare x^, Ups, theta^ and its published average."""
+    return (
+        *vector_states("x", "1", "state estimate", order),
+        *vector_states("upsilon", "1", "filtered regressor", 4 * order),
+        *(State(f"raw_{n}", unit, f"estimate of {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in NAMES.items()),
+        *(State(f"mean_{n}", unit, f"averaged {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in NAMES.items()),
+    )
+
+
+def read(p: Namespace, order: int) -> tuple[SX, SX, SX, SX]:
+    """Return (x^, Ups, theta^, averaged theta^)."""
+    raw = ca.vertcat(*(p[f"raw_{name}"] for name in NAMES))
+    mean = ca.vertcat(*(p[f"mean_{name}"] for name in NAMES))
+    return stack(p, "x", order), stack(p, "upsilon", order, 4), raw, mean
+
+
+def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
+    """Return the next states; the published average moves by `weight` towards the estimate."""
+    average = mean + weight * (theta - mean)
+    return {
+        **unstack("x", x),
+        **unstack("upsilon", ups),
+        **{f"raw_{name}": theta[i] for i, name in enumerate(NAMES)},
+        **{f"mean_{name}": average[i] for i, name in enumerate(NAMES)},
+    }
+
+
+def known_parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare alpha2 and b, which a step-2 method takes as known."""
+    return (
+        Parameter(f"{prefix}.alpha2", "alpha2", "1/s", 1.0, 0.0, 1e6, "viscous friction over inertia, known", "dixit2008 eq. (15)"),
+        Parameter(f"{prefix}.b", "b", "rad/(s2.V)", 3.0, -1e6, 1e6, "drive gain over inertia, known", "dixit2008 eq. (15)"),
+    )
+
+
+def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tuple[float, ...]) -> tuple[Parameter, ...]:
+    """Declare K0, lam and the starts."""
+    return (
+        *(
+            Parameter(f"{prefix}.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", EQUATION)
+            for i, k in enumerate(k0, start=1)
+        ),
+        Parameter(f"{prefix}.lam", "lambda", "1/s", lam, 1e-3, 1e4, "filter bandwidth", EQUATION),
+        *(
+            Parameter(f"{prefix}.{name}_start", name, unit, start, -1e9, 1e9, f"start of the estimate of {name}", EQUATION)
+            for (name, unit), start in zip(NAMES.items(), starts, strict=True)
+        ),
+    )
+
+
+def matrix_parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare the matrix gain: S = gain diag(scale)^2, with round scales that belong to no plant; and the averaging."""
+    scales = zip(NAMES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
+    average = "time constant of the published average"
+    return (
+        Parameter(f"{prefix}.gain", "g", "1/s5", 1e6, 0.0, 1e15, "overall adaptation gain", "zhang2002 eq. (8)"),
+        *(
+            Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", "zhang2002 eq. (8)")
+            for (n, unit), s in scales
+        ),
+        Parameter(f"{prefix}.averaging", "T_a", "s", 10.0, 0.0, 1e6, average, "polyak1992 section 1"),
+    )
+
+
+def matrix_gain(p: Namespace) -> SX:
+    """Return the diagonal of S."""
+    return p.gain * ca.vertcat(*(p[f"{name}_scale"] ** 2 for name in NAMES))
+
+
+def averaging_weight(p: Namespace, period: SX) -> SX:
+    """Return the weight of a new value in the published average; no averaging if the time constant is 0."""
+    return period / ca.fmax(p.averaging, period)
+
+
+LOWEST = (1.0, -1e9, -1e9, 1.0)  # projection: sigma0 and c stay positive

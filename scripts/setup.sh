@@ -1,0 +1,33 @@
+# Sourced by the other scripts: makes .venv beside the checkout and installs what is missing. $1: the extras wanted.
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+cd "$root"
+
+find_python() {
+    for name in "${PYTHON:-python3}" python3.14 python3.13 python3.12 python3.11 python; do
+        if command -v "$name" >/dev/null && "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+            echo "$name"
+            return
+        fi
+    done
+    echo "bristle needs Python 3.11 or newer; install it, or set PYTHON to its path" >&2
+    exit 2
+}
+
+has_compiler() {
+    for name in ${CC:-} cc gcc clang; do command -v "$name" >/dev/null && return 0; done
+    return 1
+}
+
+extras=$1
+has_compiler || extras="${extras:+$extras,}cross"  # no C compiler on this machine: take zig from PyPI
+
+venv="$root/.venv"
+[ -x "$venv/bin/python" ] || "$(find_python)" -m venv "$venv"
+stamp="$venv/installed-${extras:-core}"
+if [ ! -e "$stamp" ] || [ pyproject.toml -nt "$stamp" ]; then
+    echo "installing bristle${extras:+[$extras]} into .venv" >&2
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade "setuptools>=77" wheel
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-build-isolation -e ".${extras:+[$extras]}"
+    touch "$stamp"
+fi
+export PATH="$venv/bin:$PATH"
