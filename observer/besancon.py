@@ -46,9 +46,8 @@ def step(shop: Workshop, s: Sample, f: zhang.Filter, alpha2: SX, b: SX) -> dict[
     p = shop.p
     x, ups, theta, mean = zhang.read(p, 2)
     x, ups = predict(f, x, ups, theta, s, alpha2, b)
-    low = ca.vertcat(*zhang.LOWEST)
-    x, theta = zhang.correct(ups, x, theta, s.y1 - x[0], zhang.matrix_gain(p), s.period, low)
-    return zhang.write(x, ups, theta, mean, zhang.averaging_weight(p, s.period))
+    new = zhang.gradient(ups, theta, s.y1 - x[0], zhang.matrix_gain(p), s.period, low=True)
+    return zhang.write(x + ups @ (new - theta), ups, new, mean, zhang.averaging_weight(p, s.period))
 
 
 def published(p: Namespace, alpha2: SX, b: SX) -> tuple[dict[str, SX], dict[str, SX]]:

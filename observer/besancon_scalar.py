@@ -24,8 +24,8 @@ def step(shop: Workshop, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
     x, ups, theta, mean = zhang.read(p, 2)
     degrees = Sample(s.u, s.y0 / UNIT, s.y1 / UNIT, s.period)
     x, ups = besancon.predict(besancon.filter_of(shop, s), x, ups, theta, degrees, alpha2, b / UNIT, UNIT)
-    x, theta = zhang.correct(ups, x, theta, degrees.y1 - x[0], p.lam**4 * SX.ones(4), s.period, None)
-    return zhang.write(x, ups, theta, mean, SX(1))
+    new = zhang.gradient(ups, theta, degrees.y1 - x[0], p.lam**4 * SX.ones(4), s.period, low=False)
+    return zhang.write(x + ups @ (new - theta), ups, new, mean, SX(1))
 
 
 def published(shop: Workshop, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:

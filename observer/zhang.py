@@ -72,18 +72,19 @@ def regressor(v: SX, x2: SX, unit: float = 1.0) -> SX:
     return -ca.horzcat(v, *(phi * v for phi in gaussian(v * unit)), ca.fabs(v) * x2)
 
 
-def correct(ups: SX, x: SX, theta: SX, error: SX, gain: SX, period: SX, low: SX | None) -> tuple[SX, SX]:
-    """Return (x, theta) after the gradient step on the output error, normalised implicitly, and projected.
+LOWEST = (1.0, -1e9, -1e9, 1.0)  # projection: sigma0 [1/s2] and c [1/rad] stay positive
 
-    d theta = Ts S h e / (1 + Ts h' S h) with h the first row of Ups, x += Ups d theta: the step that an implicit Euler
-    of theta^' = S h (e - h' d theta) takes, so that no gain is too large. Where `low` is given, theta stays above it.
+
+def gradient(ups: SX, theta: SX, error: SX, gain: SX, period: SX, *, low: bool) -> SX:
+    """Return theta^ after the gradient step on the output error, normalised implicitly, projected where `low` is set.
+
+    d theta = Ts S h e / (1 + Ts h' S h) with h the first row of Ups is the step that an implicit Euler of
+    theta^' = S h (e - h' d theta) takes, so that no gain is too large. x^ has to follow by Ups d theta.
     """
     h = ups[0, :].T
     step = period * gain * h
     new = theta + step * (error / (1 + ca.dot(h, step)))
-    if low is not None:
-        new = ca.fmax(new, low)
-    return x + ups @ (new - theta), new
+    return ca.fmax(new, ca.vertcat(*LOWEST)) if low else new
 
 
 def states(order: int) -> tuple[State, ...]:
@@ -137,17 +138,17 @@ def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tupl
     )
 
 
-def matrix_parameters(prefix: str) -> tuple[Parameter, ...]:
+def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -> tuple[Parameter, ...]:
     """Declare the matrix gain: S = gain diag(scale)^2, with round scales that belong to no plant; and the averaging."""
     scales = zip(NAMES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
     average = "time constant of the published average"
     return (
-        Parameter(f"{prefix}.gain", "g", "1/s5", 1e6, 0.0, 1e15, "overall adaptation gain", "zhang2002 eq. (8)"),
+        Parameter(f"{prefix}.gain", "g", "1", gain, 0.0, 1e15, "overall adaptation gain", "zhang2002 eq. (8)"),
         *(
             Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", "zhang2002 eq. (8)")
             for (n, unit), s in scales
         ),
-        Parameter(f"{prefix}.averaging", "T_a", "s", 10.0, 0.0, 1e6, average, "polyak1992 section 1"),
+        Parameter(f"{prefix}.averaging", "T_a", "s", averaging, 0.0, 1e6, average, "polyak1992 section 1"),
     )
 
 
@@ -160,5 +161,3 @@ def averaging_weight(p: Namespace, period: SX) -> SX:
     """Return the weight of a new value in the published average; no averaging if the time constant is 0."""
     return period / ca.fmax(p.averaging, period)
 
-
-LOWEST = (1.0, -1e9, -1e9, 1.0)  # projection: sigma0 and c stay positive

@@ -1,0 +1,96 @@
+"""Step 2 of Approach II from position alone: x0' = v put before the model, n = 3, matrix gain."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.observer import zhang
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+SX = ca.SX
+LAM = 85.0
+GAIN = 1e9
+AVERAGING = 20.0
+FASTEST = 10.0  # rad/s; an unlikely velocity estimate does not enter the regressor
+
+
+def chain(h: SX) -> tuple[SX, SX, SX]:
+    """Return (F, M0, M1): the exact step of three integrators, driven on rows v and w by inputs linear over the step.
+
+    Source: vanloan1978 section II, in closed form for a nilpotent matrix.
+    """
+    f = ca.vertcat(ca.horzcat(1, h, h**2 / 2), ca.horzcat(0, 1, h), ca.horzcat(0, 0, 1))
+    m0 = ca.vertcat(ca.horzcat(h**2 / 3, h**3 / 8), ca.horzcat(h / 2, h**2 / 3), ca.horzcat(0, h / 2))
+    m1 = ca.vertcat(ca.horzcat(h**2 / 6, h**3 / 24), ca.horzcat(h / 2, h**2 / 6), ca.horzcat(0, h / 2))
+    return f, m0, m1
+
+
+def innovation_gain(lam: SX, h: SX) -> SX:
+    """Return the gain that puts all three error poles at exp(-lam h): K0 = [3, 3, 1] of (6), sampled.
+
+    A filter that holds the *position* linear between samples, as the second-order observer holds the velocity, loses
+    v' h^2/12, which its gain turns into an error of b; an innovation at the sampling instants loses nothing.
+    Source: besancon2004 eq. (6); poles by comparison of coefficients.
+    """
+    p = ca.exp(-lam * h)
+    return ca.vertcat(1 - p**3, 1.5 * (1 - p) ** 2 * (1 + p) / h, (1 - p) ** 3 / h**2)
+
+
+def _limited(v: SX) -> SX:
+    return ca.fmin(ca.fmax(v, -FASTEST), FASTEST)
+
+
+def predict(x: SX, ups: SX, theta: SX, u: SX, h: SX, alpha2: SX, b: SX) -> tuple[SX, SX]:
+    """Advance x^ = (theta^, v^, -w^) and Ups over one sample without correction.
+
+    The velocity at the end is predicted twice, the second time with the regressor of the first; the term c |v| x2 is
+    solved for, as in the second-order observer.
+    Source: dixit2008 eq. (15), (17) and the remark on position measurement at the end of section III.
+    """
+    f, m0, m1 = chain(h)
+    va = _limited(x[1])
+    psi0 = zhang.regressor(va, x[2])
+    vb, psi1, ahead = va, psi0, x
+    for _ in range(2):
+        psi1 = zhang.regressor(vb, SX(0))
+        f0 = ca.vertcat(-alpha2 * va + b * u, psi0 @ theta)
+        f1 = ca.vertcat(-alpha2 * vb + b * u, psi1 @ theta)
+        free = f @ x + m0 @ f0 + m1 @ f1
+        rate = ca.fabs(vb) * theta[3]
+        x2 = free[2] / (1 + m1[2, 1] * rate)
+        ahead = free - m1[:, 1] * rate * x2
+        psi1 = zhang.regressor(vb, x2)
+        vb = _limited(ahead[1])
+    return ahead, f @ ups + m0[:, 1] @ psi0 + m1[:, 1] @ psi1
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    x, ups, theta, mean = zhang.read(p, 3)
+    x, ups = predict(x, ups, theta, s.u, s.period, p.alpha2, p.b)
+    error = s.y1 - x[0]
+    theta_new = zhang.gradient(ups, theta, error, zhang.matrix_gain(p), s.period, low=True)
+    gain = innovation_gain(p.lam, s.period)
+    ups = ups - gain @ ups[0, :]
+    x = x + gain * error + ups @ (theta_new - theta)
+    return Update(
+        zhang.write(x, ups, theta_new, mean, zhang.averaging_weight(p, s.period)),
+        {name: p[f"mean_{name}"] for name in zhang.NAMES},
+        {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + p.alpha2 * p.x1},
+        first={"x0": s.y1},
+    )
+
+
+METHOD = Method(
+    "besancon_position",
+    "Besancon-Zhang-Hammouri observer from position, n = 3, with a matrix gain; alpha2 and b known",
+    "besancon2004 eq. (6) with the gain of zhang2002",
+    "y_theta",
+    (
+        *zhang.known_parameters("besancon_position"),
+        *zhang.gain_parameters("besancon_position", (), LAM, (300.0, 300.0, 300.0, 100.0)),
+        *zhang.matrix_parameters("besancon_position", gain=GAIN, averaging=AVERAGING),
+    ),
+    zhang.states(3),
+    _equations,
+)
