@@ -1,0 +1,80 @@
+"""The search for one matrix gain of step 2 that serves sets S and R and contains neither's truth (docs/gains.md).
+
+    python benchmarks/gains.py            # prints the tables of docs/gains.md
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from records import STEP, TRUE, record
+
+from bristle.model.native import Native
+from bristle.observer import observer_program
+
+STEP2 = ("sigma0", "sigma1", "sigma2", "c")
+SCALES = {
+    "600, 800, 300, 150 (S's truth)": (600.0, 800.0, 300.0, 150.0),
+    "300, 300, 300, 100": (300.0, 300.0, 300.0, 100.0),
+    "500, 500, 500, 50": (500.0, 500.0, 500.0, 50.0),
+    "1000, 1000, 1000, 150": (1000.0, 1000.0, 1000.0, 150.0),
+    "**1000, 1000, 1000, 100**": (1000.0, 1000.0, 1000.0, 100.0),
+    "1000, 1000, 1000, 75": (1000.0, 1000.0, 1000.0, 75.0),
+    "2000, 2000, 2000, 200": (2000.0, 2000.0, 2000.0, 200.0),
+}
+GAINS = (1e5, 1e6, 1e7)
+STARTS = {
+    "**300, 300, 300, 100**": (300.0, 300.0, 300.0, 100.0),
+    "0, 0, 0, 0": (0.0, 0.0, 0.0, 0.0),
+    "100, 100, 100, 30": (100.0, 100.0, 100.0, 30.0),
+    "3000, 0, 0, 300": (3000.0, 0.0, 0.0, 300.0),
+    "1000, 0, 0, 1000": (1000.0, 0.0, 0.0, 1000.0),
+}
+
+
+def worst(parameters: Mapping[str, float], seeds: Sequence[int]) -> tuple[float, float]:
+    """Return (largest error at 100 s in %, last time an error exceeds 5 %) over S, R, both orders and all seeds."""
+    error, settling = 0.0, 0.0
+    program = observer_program("besancon")
+    given = {f"besancon.{name}": value for name, value in ({"alpha2": 2.0, "b": 6.5} | dict(parameters)).items()}
+    for plant, truth in TRUE.items():
+        for order in (1, 2):
+            for seed in seeds:
+                data = record(plant, order, seed, 100.0)
+                out, _ = Native(program, given).run(STEP, {n: data[n] for n in ("u", "y_v")}, [f"{n}_hat" for n in STEP2])
+                off = 100.0 * np.abs(out[1:] / [truth[n] for n in STEP2] - 1.0)
+                late = np.flatnonzero(~(off.max(axis=1) <= 5.0))
+                error = max(error, float(off[-1].max()))
+                settling = max(settling, (late[-1] + 1) * STEP if len(late) else 0.0)
+    return error, settling
+
+
+def cell(parameters: Mapping[str, float], seeds: Sequence[int]) -> str:
+    """Return the two numbers as a table cell."""
+    error, settling = worst(parameters, seeds)
+    return f"{error:.2f} / {settling:.0f}"
+
+
+def main() -> None:
+    """Print the three tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
+    seeds = range(1, parser.parse_args().seeds + 1)
+    print("Scales of S (sigma0, sigma1, sigma2, c) against the overall gain:\n")
+    print(f"| scales | {' | '.join(f'{gain:.0e}' for gain in GAINS)} |\n|---|{'---|' * len(GAINS)}")
+    for name, scales in SCALES.items():
+        scale = {f"{n}_scale": value for n, value in zip(STEP2, scales, strict=True)}
+        print(f"| {name} | {' | '.join(cell(scale | {'gain': gain}, seeds) for gain in GAINS)} |", flush=True)
+    print("\n| lambda, 1/s | |\n|---|---|")
+    for lam in (20.0, 35.0, 50.0, 70.0, 100.0):
+        print(f"| {lam:g} | {cell({'lam': lam}, seeds)} |", flush=True)
+    print("\n| starts (sigma0, sigma1, sigma2, c) | |\n|---|---|")
+    for name, starts in STARTS.items():
+        start = {f"{n}_start": value for n, value in zip(STEP2, starts, strict=True)}
+        print(f"| {name} | {cell(start, seeds)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""What the observers reach over seeds 1-12 and both orders of the reference, on sets S and R (see README).
+
+    python benchmarks/identification.py            # prints the table; exit code 1 if a promised figure is missed
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from records import STEP, TRUE, record
+
+from bristle.model.native import Native
+from bristle.observer import observer_program
+
+STEP1 = ("alpha2", "b", "Fc")
+STEP2 = ("sigma0", "sigma1", "sigma2", "c")
+KNOWN = {"alpha2": 2.0, "b": 6.5}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of the table: an observer, what it sees, how long, and what it must reach (None: only stated)."""
+
+    name: str
+    method: str
+    seconds: float
+    names: tuple[str, ...]
+    error: float | None
+    settling: float | None
+    encoder: bool = False
+    known: tuple[str, ...] = field(default=())
+
+
+CASES = (
+    Case("repaired_step1", "bastin_gevers", 200.0, STEP1, 0.5, 100.0),
+    Case("repaired_step2", "besancon", 100.0, STEP2, 3.0, 90.0, known=("alpha2", "b")),
+    Case("encoder_rls", "rls", 200.0, STEP1, 1.0, None, encoder=True),
+    Case("repaired_two_step, step 1", "two_step", 200.0, STEP1, None, None),
+    Case("repaired_two_step, step 2", "two_step", 200.0, STEP2, None, None),
+    Case("position only, n = 3, encoder", "besancon_position", 200.0, STEP2, None, None, encoder=True, known=("alpha2", "b")),
+)
+
+
+def observe(case: Case, plant: str, order: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (error at the end in %, last time the error exceeds 5 %) of each parameter."""
+    data = dict(record(plant, order, seed, case.seconds))
+    encoder = data.pop("encoder")
+    if case.encoder:
+        data["y_theta"] = encoder
+    instance = Native(observer_program(case.method), {f"{case.method}.{name}": KNOWN[name] for name in case.known})
+    out, _ = instance.run(STEP, data, [f"{name}_hat" for name in case.names])
+    error = 100.0 * (out[1:] / [TRUE[plant][name] for name in case.names] - 1.0)  # row k is the estimate for t_k
+    late = [np.flatnonzero(~(np.abs(column) <= 5.0)) for column in error.T]
+    return error[-1], np.array([(rows[-1] + 1) * STEP if len(rows) else 0.0 for rows in late])
+
+
+def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
+    """Return the table row of a case and whether what was promised holds."""
+    cells, good = [], True
+    for plant in TRUE:
+        for order in (1, 2):
+            found = [observe(case, plant, order, seed) for seed in seeds]
+            worst = max(float(np.max(np.abs(error))) for error, _ in found)
+            settled = max(float(np.max(times)) for _, times in found)
+            good &= bool(worst <= (case.error or np.inf) and settled <= (case.settling or np.inf))
+            cells.append(f"{worst:.2f} / {settled:.0f}")
+    limit = f"{case.error:g} / {case.settling or '-'}" if case.error else "stated"
+    return f"| {case.name} | {' | '.join(cells)} | {limit} | {'yes' if good else 'NO'} |", good
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
+    seeds = range(1, parser.parse_args().seeds + 1)
+    print(f"Largest error of any parameter at the end in % / last time an error exceeds 5 % in s, worst of seeds 1-{len(seeds)}:\n")
+    print("| | S, order 1 | S, order 2 | R, order 1 | R, order 2 | limit | holds |\n|---|---|---|---|---|---|---|")
+    results = []
+    for case in CASES:
+        text, good = row(case, seeds)
+        print(text, flush=True)
+        results.append(good)
+    return 0 if all(results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

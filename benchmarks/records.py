@@ -1,0 +1,52 @@
+"""Records of the benchmark plants under the reference controller, made by the FMUs and kept for the process."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.fmus import obtain
+from bristle.harness.fmu import Fmu
+from bristle.harness.loop import Bus, Instance, simulate
+
+STEP = 1e-3
+SERVO = {"J": 0.001, "b": 0.0065, "a2": 0.002}  # alpha2 = 2 1/s, b = 6.5 rad/(s2.V)
+LUGRE = {"lugre.sigma0": 0.8, "lugre.Fc": 0.004, "lugre.Fs": 0.0072, "lugre.vs": math.radians(25.0)}
+
+
+def modified(sigma0: float, sigma1: float, sigma2: float, c: float) -> dict[str, float]:
+    """Return the parameters of a plant with the modified law."""
+    values = {"sigma0": sigma0, "sigma1": sigma1, "sigma2": sigma2, "c": c}
+    return {f"modified.{name}": value for name, value in values.items()}
+
+
+PLANTS = {
+    "S": ("modified", SERVO | modified(600.0, 800.0, 300.0, 150.0)),
+    "R": ("modified", SERVO | modified(800.0, 1067.0, 400.0, 200.0)),
+    "L0": ("lugre", SERVO | LUGRE | {"lugre.sigma1": 0.0}),
+    "L1": ("lugre", SERVO | LUGRE | {"lugre.sigma1": 0.02}),
+}
+TRUE = {
+    "S": {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0},
+    "R": {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 800.0, "sigma1": 1067.0, "sigma2": 400.0, "c": 200.0},
+}
+
+
+@lru_cache(maxsize=200)
+def record(plant: str, order: int, seed: int, seconds: float) -> dict[str, NDArray[np.float64]]:
+    """Return u, y_theta, y_v and the encoder's position, one value a sample, of a run from rest."""
+    law, parameters = PLANTS[plant]
+    instances = (
+        Instance("plant", Fmu(obtain("plant", law=law)), parameters),
+        Instance("controller", Fmu(obtain("controller")), {"seed": float(seed), "order": float(order)}),
+    )
+    links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
+    taps = (("controller", "u"), ("plant", "theta"), ("plant", "v"), ("plant", "theta_enc"))
+    trace = simulate(Bus(instances, round(seconds / STEP), STEP, links, record=taps))
+    if trace.failure is not None:
+        raise RuntimeError(trace.failure.message)
+    names = ("u", "y_theta", "y_v", "encoder")
+    return {name: np.ascontiguousarray(trace.values[:, i]) for i, name in enumerate(names)}

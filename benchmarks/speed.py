@@ -1,0 +1,207 @@
+"""Speed of the co-simulation, as ratios measured side by side in one run (see README, "Speed").
+
+Run with scripts/bench. Four loops do the same 200 000 steps of controller, plant and observer:
+  plain   the generated C in one C loop, no FMI
+  native  the harness's compiled loop over three native FMUs
+  fmpy    FMPy's Python calls over the same FMUs
+  python  FMPy's Python calls over the pythonfmu FMUs
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from bristle.fmus import obtain
+from bristle.fmus.controller.definition import program as controller_program
+from bristle.harness.fmu import Fmu
+from bristle.harness.loop import Bus, Instance, Session
+from bristle.model.cache import cached, digest
+from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, find_compiler
+from bristle.model.native import Native
+from bristle.model.program import Program
+from bristle.model.sources import c_sources
+from bristle.observer import observer_program
+from bristle.plant.servo import servo_program
+
+STEP = 1e-3
+METHOD = "two_step"
+LINKS = (
+    (("controller", "u"), ("plant", "u")),
+    (("controller", "u"), ("observer", "u")),
+    (("plant", "v"), ("controller", "y_v")),
+    (("plant", "v"), ("observer", "y_v")),
+    (("plant", "theta"), ("observer", "y_theta")),
+)
+RECORD = (("plant", "theta"), ("plant", "v"), ("controller", "u"), ("observer", "alpha2_hat"), ("observer", "sigma0_hat"))
+SYMBOLS = ("defaults", "derive", "initialise", "advance", "outputs", "rates", "jacobian", "message")
+Cores = dict[str, tuple[Program, ctypes.Array[ctypes.c_char]]]
+
+
+def programs() -> dict[str, tuple[Program, str]]:
+    """Return the same programs as in the FMUs, with the variant used here."""
+    return {
+        "plant": (servo_program(), "modified"),
+        "controller": (controller_program(), ""),
+        "observer": (observer_program(), METHOD),
+    }
+
+
+def plain_library(parts: dict[str, tuple[Program, str]]) -> ctypes.CDLL:
+    """Compile all three programs into one library, their symbols told apart by a prefix."""
+    sources = {"plain.c": Path(__file__).with_name("plain.c").read_text(encoding="utf-8")}
+    for name, (program, _) in parts.items():
+        text = c_sources(program)
+        rename = "".join(f"#define {x} {name}_{x}\n" for x in [*(f"core_{s}" for s in SYMBOLS), "VARIANTS", "START"])
+        for unit in ("core", "model"):
+            body = text[f"{unit}.c"].replace('#include "core.h"', f'{rename}#include "{name}_core.h"')
+            sources[f"{name}_{unit}.c"] = body
+        sources[f"{name}_core.h"] = text["core.h"].replace("model.h", f"{name}_model.h")
+        sources[f"{name}_model.h"] = text["model.h"]
+    key = digest(*FLAGS, *find_compiler(), *(text for pair in sorted(sources.items()) for text in pair))
+    library = ctypes.CDLL(str(cached(f"plain-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out))))
+    library.plain_run.restype = ctypes.c_longlong
+    return library
+
+
+def start_cores(parts: dict[str, tuple[Program, str]]) -> Cores:
+    """Initialise one core of each program and keep its bytes."""
+    cores: Cores = {}
+    for name, (program, variant) in parts.items():
+        cores[name] = (program, Native(program, variant=variant or None)._core)
+    return cores
+
+
+def time_plain(parts: dict[str, tuple[Program, str]], steps: int) -> tuple[float, np.ndarray]:
+    """Return (seconds, record) of the plain loop."""
+    library, cores = plain_library(parts), start_cores(parts)
+
+    def address(port: tuple[str, str]) -> int:
+        program, core = cores[port[0]]
+        return ctypes.addressof(core) + 8 * program.index[port[1]]
+
+    ends = [np.array([address(link[i]) for link in LINKS], dtype=np.uintp) for i in (0, 1)]
+    taps = np.array([address(port) for port in RECORD], dtype=np.uintp)
+    record = np.zeros((steps + 1, len(RECORD)))
+    pointer = lambda array: ctypes.c_void_p(array.ctypes.data)  # noqa: E731 - local shorthand
+    begin = time.perf_counter()
+    done = library.plain_run(
+        *(cores[name][1] for name in ("plant", "controller", "observer")), ctypes.c_longlong(steps), ctypes.c_double(STEP),
+        len(LINKS), pointer(ends[0]), pointer(ends[1]), len(RECORD), pointer(taps), pointer(record),
+    )  # fmt: skip
+    assert done == steps, f"the plain loop ended at step {done}"
+    return time.perf_counter() - begin, record
+
+
+def bus(kind: str, steps: int) -> Bus:
+    """Return the bus of three FMUs."""
+    fmus = {name: Fmu(obtain(name, fmi=2, kind=kind)) for name in ("plant", "controller", "observer")}
+    chosen = {
+        "plant": {"law": fmus["plant"].choices("law")["modified"]},
+        "controller": {},
+        "observer": {"method": fmus["observer"].choices("method")[METHOD]},
+    }
+    return Bus(tuple(Instance(n, fmu, chosen[n]) for n, fmu in fmus.items()), steps, STEP, LINKS, record=RECORD)
+
+
+def time_native(steps: int) -> tuple[float, np.ndarray]:
+    """Return (seconds, record) of the compiled loop over native FMUs."""
+    with Session(bus("native", steps)) as session:
+        begin = time.perf_counter()
+        trace = session.run()
+        return time.perf_counter() - begin, trace.values
+
+
+def time_calls(kind: str, steps: int) -> tuple[float, np.ndarray]:
+    """Return (seconds, record) of a tight loop of FMPy's own calls: set, step and get for each FMU, links by list index."""
+    with Session(bus(kind, steps)) as session:
+        nodes = list(session.nodes.items())
+        for _, node in nodes:
+            node.read()
+        units = [(n.slave.instance, n.in_vr.tolist(), n.out_vr.tolist()) for _, n in nodes]
+        outputs = [n.output.tolist() for _, n in nodes]
+        where = {(name, port): (i, j) for i, (name, n) in enumerate(nodes) for j, port in enumerate(n.outputs)}
+        sources = {to: where[source] for source, to in LINKS}
+        wiring = [[sources[(name, port)] for port in n.inputs] for name, n in nodes]
+        taps = [where[port] for port in RECORD]
+        record = [[outputs[i][j] for i, j in taps]]
+        begin = time.perf_counter()
+        for k in range(steps):
+            values = [[outputs[i][j] for i, j in wires] for wires in wiring]
+            for i, (fmu, in_vr, out_vr) in enumerate(units):
+                fmu.setReal(in_vr, values[i])
+                fmu.doStep(k * STEP, STEP)
+                outputs[i] = fmu.getReal(out_vr)
+            record.append([outputs[i][j] for i, j in taps])
+        return time.perf_counter() - begin, np.array(record)
+
+
+def arithmetic(parts: dict[str, tuple[Program, str]], record: np.ndarray) -> list[tuple[str, float, float]]:
+    """Return (name, us a step, internal steps a step) of each program alone on the recorded signals."""
+    theta, v, u = record[:-1, 0], record[:-1, 1], record[:-1, 2]
+    inputs = {"plant": {"u": u}, "controller": {"y_v": v}, "observer": {"u": u, "y_v": v, "y_theta": theta}}
+    rows = []
+    for name, (program, variant) in parts.items():
+        instance, times = Native(program, variant=variant or None), []
+        for _ in range(5):
+            instance.reset()
+            begin = time.perf_counter()
+            instance.run(STEP, inputs[name], [])
+            times.append(time.perf_counter() - begin)
+        rows.append((name, 1e6 * statistics.median(times) / len(u), instance.steps / len(u)))
+    return rows
+
+
+def paired(runs: int, *loops: Callable[[], tuple[float, np.ndarray]]) -> list[float]:
+    """Run the loops in turn and return the median time of each, so that a drift of the machine hits all alike."""
+    times: list[list[float]] = [[] for _ in loops]
+    for _ in range(runs):
+        for loop, seen in zip(loops, times, strict=True):
+            seen.append(loop()[0])
+    return [statistics.median(seen) for seen in times]
+
+
+def main() -> int:
+    """Print the tables; exit 1 if a promised ratio is missed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=200_000)
+    parser.add_argument("--runs", type=int, default=9)
+    given = parser.parse_args()
+    n, parts = given.steps, programs()
+    reference, fast = time_plain(parts, n)[1], time_native(n)[1]
+    plain, native = paired(given.runs, lambda: time_plain(parts, n), lambda: time_native(n))
+    calls, by_call = time_calls("native", n)
+    python, by_python = time_calls("python", n)
+    us = {name: 1e6 * t / n for name, t in zip(("plain", "native", "fmpy", "python"), (plain, native, calls, python), strict=True)}
+    print(f"{n} steps of 1 ms, controller + plant (modified) + observer ({METHOD}); medians of {given.runs} runs in turn\n")
+    print("| loop | us/step | ratio to plain |\n|---|---|---|")
+    for name, value in us.items():
+        print(f"| {name} | {value:.3f} | {value / us['plain']:.2f} |")
+    overhead, other = us["native"] - us["plain"], us["fmpy"] - us["plain"]
+    same = [float(np.max(np.abs(other - reference))) for other in (fast, by_call, by_python)]
+    checks = [
+        ("overhead of our loop / plain loop, %", 100 * overhead / us["plain"], "<=", 20.0),
+        ("overhead of FMPy's calls / overhead of our loop", other / max(overhead, 1e-9), ">=", 50.0),
+        ("pythonfmu FMUs with FMPy / our loop", us["python"] / us["native"], ">=", 30.0),
+        ("largest difference of native and fmpy from plain", max(same[:2]), "<=", 0.0),
+        ("largest difference of python from plain", same[2], "<=", 1e-9),
+    ]
+    print("\n| promise | measured | limit |\n|---|---|---|")
+    for name, value, sign, limit in checks:
+        print(f"| {name} | {value:.3g} | {sign} {limit:g} |")
+    print("\n| arithmetic alone | us/step | internal steps/step |\n|---|---|---|")
+    for name, cost, internal in arithmetic(parts, reference):
+        print(f"| {name} | {cost:.3f} | {internal:.2f} |")
+    good = all(value <= limit if sign == "<=" else value >= limit for _, value, sign, limit in checks)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
