@@ -17,6 +17,7 @@ from bristle.model.errors import BristleError
 from bristle.model.proximal import proximal
 from bristle.model.rosenbrock import rodas3
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
+from bristle.model.units import per_second
 from bristle.model.variables import Parameter, Variable
 
 SX = ca.SX
@@ -133,7 +134,7 @@ class Program:
             for state in system.states.values():
                 self._add(_own(system, state.name), "state", state)
                 if system.smooth:
-                    rate = Variable(state.name, f"{state.unit}/s", f"rate of {state.description}")
+                    rate = Variable(state.name, per_second(state.unit), f"rate of {state.description}")
                     self._add(f"der({_own(system, state.name)})", "der", rate)
             for kind, group in (("sampled", {**system.before, **system.after}), ("mode", system.modes)):
                 for state in group.values():

@@ -17,7 +17,7 @@ def proximal(system: System, h: SX) -> SX:
     scalar inclusion, S dv = r - f/J, f in N Sgn(v + dv), solved by projection. In the sticking branch dv = -v is set,
     not computed, so that velocity and position stand still to the last bit. First-order accurate.
 
-    Source: moreau1988 section 9 (time stepping), acary2008 section 1.3 (closed-form projection).
+    Source: moreau1988 (time stepping), acary2008 (closed-form projection).
     """
     dry = system.dry
     assert dry is not None

@@ -24,7 +24,7 @@ def rodas3(system: System, h: SX) -> tuple[SX, SX]:
     The Jacobian is exact; the linear systems are solved symbolically, so that the step is one straight line of
     arithmetic that can be differentiated and printed in any language.
 
-    Source: sandu1997 section 3.3, coefficients in the form of hairer1996 eq. IV.(7.25).
+    Source: sandu1997, coefficients in the form of hairer1996 eq. IV.(7.25).
     """
     x, t = system.vector(list(system.states)), system.time
     f = system.rate_vector()

@@ -69,6 +69,16 @@ def parse_unit(text: str) -> Unit:
     return Unit(text, factor, tuple(exponents[base] for base in BASE))
 
 
+def per_second(text: str) -> str:
+    """Return the unit of a rate: ``rad/s`` becomes ``rad/s2``."""
+    numerator, _, denominator = text.partition("/")
+    tokens = [token for token in denominator.strip("()").split(".") if token]
+    powers = {match[1]: int(match[2] or 1) for token in tokens if (match := re.fullmatch(r"([A-Za-z]+)(\d*)", token))}
+    powers["s"] = powers.get("s", 0) + 1
+    written = ".".join(name if power == 1 else f"{name}{power}" for name, power in powers.items())
+    return f"{numerator}/{written}" if len(powers) == 1 else f"{numerator}/({written})"
+
+
 def convert(value: float, unit: str, si_unit: str) -> float:
     """Convert `value` from `unit` to `si_unit`, which must have the same dimensions."""
     have, want = parse_unit(unit), parse_unit(si_unit)

@@ -17,7 +17,7 @@ FASTEST = 10.0  # rad/s; an unlikely velocity estimate does not enter the regres
 def chain(h: SX) -> tuple[SX, SX, SX]:
     """Return (F, M0, M1): the exact step of three integrators, driven on rows v and w by inputs linear over the step.
 
-    Source: vanloan1978 section II, in closed form for a nilpotent matrix.
+    Source: vanloan1978, in closed form for a nilpotent matrix.
     """
     f = ca.vertcat(ca.horzcat(1, h, h**2 / 2), ca.horzcat(0, 1, h), ca.horzcat(0, 0, 1))
     m0 = ca.vertcat(ca.horzcat(h**2 / 3, h**3 / 8), ca.horzcat(h / 2, h**2 / 3), ca.horzcat(0, h / 2))

@@ -22,7 +22,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     same L on every signal leaves the equation exact. After a passage through low speed the fit waits until the filters
     have forgotten it.
 
-    Source: ljung1999 eq. (11.12), with exponential forgetting; dixit2008 eq. (23).
+    Source: ljung1999 section 11.2, with exponential forgetting; dixit2008 eq. (23).
     """
     p = shop.p
     v = (s.y1 - s.y0) / s.period

@@ -4,7 +4,7 @@ Besancon, Zhang and Hammouri's observer (6) is, in the coordinates Ups = lam^-n 
     Ups' = (A0 - K C0) Ups + psi,   x^' = (A0 - K C0) x^ + phi + psi theta^ + K y + Ups theta^',
     theta^' = S Ups' C0' (y - C0 x^),
 with S = lam^(2n) I as printed, or a matrix S.
-Source: besancon2004 eq. (6), zhang2002 eq. (5)-(8), dixit2008 eq. (6).
+Source: besancon2004 eq. (6), zhang2002, dixit2008 eq. (6).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def make_filter(shop: Workshop, k0: SX, lam: SX, period: SX) -> Filter:
 
     The exponential is taken in the scaled coordinates of (6), where the matrix is smallest, with a first-order hold:
     exp of [[A, I, 0], [0, 0, I/Ts], [0, 0, 0]] Ts.
-    Source: vanloan1978 section II.
+    Source: vanloan1978.
     """
     n = k0.shape[0]
     shift = SX(n, n)
@@ -143,12 +143,12 @@ def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -
     scales = zip(NAMES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
     average = "time constant of the published average"
     return (
-        Parameter(f"{prefix}.gain", "g", "1", gain, 0.0, 1e15, "overall adaptation gain", "zhang2002 eq. (8)"),
+        Parameter(f"{prefix}.gain", "g", "1", gain, 0.0, 1e15, "overall adaptation gain", "zhang2002"),
         *(
-            Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", "zhang2002 eq. (8)")
+            Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", "zhang2002")
             for (n, unit), s in scales
         ),
-        Parameter(f"{prefix}.averaging", "T_a", "s", averaging, 0.0, 1e6, average, "polyak1992 section 1"),
+        Parameter(f"{prefix}.averaging", "T_a", "s", averaging, 0.0, 1e6, average, "polyak1992"),
     )
 
 

@@ -1,0 +1,21 @@
+"""The generated pages of docs/ are what the definitions say today."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+_spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+assert _spec is not None
+assert _spec.loader is not None
+generate = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(generate)
+
+
+@pytest.mark.parametrize("name", sorted(generate.PAGES))
+def test_page_is_up_to_date(name):
+    committed = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    assert committed == generate.PAGES[name](), f"docs/{name} is old; run: python docs/generate.py"
