@@ -39,8 +39,9 @@ TRUE = {
 def record(plant: str, order: int, seed: int, seconds: float) -> dict[str, NDArray[np.float64]]:
     """Return u, y_theta, y_v and the encoder's position, one value a sample, of a run from rest."""
     law, parameters = PLANTS[plant]
+    servo = Fmu(obtain("plant"))
     instances = (
-        Instance("plant", Fmu(obtain("plant", law=law)), parameters),
+        Instance("plant", servo, {"law": servo.choices("law")[law], **parameters}),
         Instance("controller", Fmu(obtain("controller")), {"seed": float(seed), "order": float(order)}),
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))

@@ -10,7 +10,8 @@ import math
 from typing import Any
 
 MAX_LEVEL = 40  # a segment is halved at most this often
-TIME_TOLERANCE = 1e-6  # of a sampling period: what counts as the same instant
+STEP_ROUNDING = 1e-6  # of an internal step: how much longer than asked it may be
+SAME_INSTANT = 1e-3  # of a sampling period or a shorter step: how far the sum of many steps may drift from the grid
 
 MESSAGES = {
     "cap": "the communication step needs more internal steps than solver.max_steps allows; make it shorter",
@@ -122,7 +123,7 @@ class Core:
     def _segment_fixed(self, begin: float, length: float, left: int) -> int:
         a = self.variant
         x = [0.0] * (len(a["states"]) + 1)
-        ratio = math.ceil(length / self.v[a["friction_step"]] - TIME_TOLERANCE)
+        ratio = math.ceil(length / self.v[a["friction_step"]] - STEP_ROUNDING)
         if not ratio <= left:
             raise CoreError("cap")
         n = max(1, ratio)
@@ -135,7 +136,7 @@ class Core:
     def _integrate(self, begin: float, end: float, left: int) -> int:
         a = self.variant
         if a["states"]:
-            parts = math.ceil((end - begin) / self.v[a["max_step"]] - TIME_TOLERANCE)
+            parts = math.ceil((end - begin) / self.v[a["max_step"]] - STEP_ROUNDING)
             if not parts <= left:
                 raise CoreError("cap")
             n = max(1, parts)
@@ -163,7 +164,7 @@ class Core:
     def _advance_sampled(self, h: float, end: float, left: int) -> None:
         a = self.variant
         period = self.v[a["sample_time"]]
-        same = TIME_TOLERANCE * period
+        same = SAME_INSTANT * min(period, h)
         if not h / period <= left:
             raise CoreError("cap")
         while True:

@@ -4,7 +4,8 @@
 #include <string.h>
 
 #define MAX_LEVEL 40          /* a segment is halved at most this often */
-#define TIME_TOLERANCE 1e-6   /* of a sampling period: what counts as the same instant */
+#define STEP_ROUNDING 1e-6    /* of an internal step: how much longer than asked it may be */
+#define SAME_INSTANT 1e-3     /* of a sampling period or a shorter step: how far the sum of many steps may drift from the grid */
 
 void core_defaults(Core *c)
 {
@@ -131,7 +132,7 @@ static int segment_fixed(Core *c, double begin, double length, long long *left, 
 {
     const Variant *a = variant_of(c);
     double x[N_X + 2];
-    const double ratio = ceil(length / c->v[a->friction_step] - TIME_TOLERANCE);
+    const double ratio = ceil(length / c->v[a->friction_step] - STEP_ROUNDING);
     if (!(ratio <= (double)*left)) return CORE_CAP;
     const long long n = ratio < 1.0 ? 1 : (long long)ratio;
     const double h = length / (double)n;
@@ -152,7 +153,7 @@ static int integrate(Core *c, double begin, double end, long long *left, double 
         c->v[0] = end;
         return CORE_OK;
     }
-    const double parts = ceil((end - begin) / c->v[a->max_step] - TIME_TOLERANCE);
+    const double parts = ceil((end - begin) / c->v[a->max_step] - STEP_ROUNDING);
     if (!(parts <= (double)*left)) return CORE_CAP;
     const long long n = parts < 1.0 ? 1 : (long long)parts;
     const double length = (end - begin) / (double)n;
@@ -179,7 +180,7 @@ static int advance(Core *c, double h, double *s)
         core_outputs(c);
         return CORE_OK;
     }
-    const double period = c->v[a->sample_time], same = TIME_TOLERANCE * period;
+    const double period = c->v[a->sample_time], same = SAME_INSTANT * fmin(period, h);
     if (!(h / period <= (double)left)) return CORE_CAP;
     do {
         double tick = c->origin + period * (double)c->ticks;

@@ -37,11 +37,10 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
         return Friction(force=p.J * (p.w + p.tau * dw), rates={"w": dw}, true=true)
 
     values = (*_DEFAULTS[family], *[0.0] * count)
-    low = {"gaussian": 0.0, "polynomial": -1e9}[family]
     sigma = [
         Parameter(f"{name}.sigma0", "sigma0", "1/s2", values[0], 1e-6, 1e9, "stiffness over inertia", EQUATION),
         *(
-            Parameter(f"{name}.sigma{i}", f"sigma{i}", "1/s2", values[i], low, 1e9, f"weight of basis function {i}", EQUATION)
+            Parameter(f"{name}.sigma{i}", f"sigma{i}", "1/s2", values[i], -1e9, 1e9, f"weight of basis function {i}", EQUATION)
             for i in range(1, count + 1)
         ),
     ]

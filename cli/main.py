@@ -1,0 +1,220 @@
+"""The command line: list, build, run. Exit code 0: all verdicts pass, 1: one failed, 2: an error, said in one line."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bristle.model.errors import BristleError
+
+if TYPE_CHECKING:
+    from bristle.harness.run import Run
+
+PASS, FAIL, ERROR = 0, 1, 2
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+class Kind(str, Enum):
+    """native: compiled C99; python: for hosts that run in Python."""
+
+    native = "native"
+    python = "python"
+
+
+class What(str, Enum):
+    """Which FMU."""
+
+    plant = "plant"
+    observer = "observer"
+    controller = "controller"
+    all = "all"
+
+
+class Fmi(str, Enum):
+    """Version of FMI."""
+
+    two = "2"
+    three = "3"
+
+
+KindOption = Annotated[Kind, typer.Option(help="native: compiled; python: for hosts that run in Python")]
+FmiOption = Annotated[Fmi, typer.Option(help="version of FMI")]
+DebugOption = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
+
+
+def _say(line: str) -> None:
+    print(" ".join(line.split()), file=sys.stderr, flush=True)
+
+
+@app.callback()
+def bristle() -> None:
+    """Servo friction and the adaptive observers that identify it, as FMUs, co-simulated over scenario files."""
+
+
+# -- list ------------------------------------------------------------------------------------------------------------
+
+
+@app.command("list")
+def list_command() -> None:
+    """List friction laws, observer methods and the scenarios that come with bristle."""
+    from bristle.harness.catalogue import catalogue
+
+    for title, entries in catalogue().items():
+        print(f"{title}:")
+        width = max((len(name) for name in entries), default=0)
+        for name, description in entries.items():
+            print(f"  {name:<{width}}  {description}".rstrip())
+
+
+# -- build -----------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def build(
+    what: Annotated[What, typer.Argument(help="which FMU")] = What.all,
+    out: Annotated[Path, typer.Option(help="folder for the .fmu files")] = Path(),
+    fmi: FmiOption = Fmi.two,
+    kind: KindOption = Kind.native,
+    law: Annotated[str | None, typer.Option(help="a lean plant of one friction law")] = None,
+    method: Annotated[str | None, typer.Option(help="a lean observer of one method")] = None,
+    debug: DebugOption = False,
+) -> None:
+    """Build FMUs."""
+    from bristle.harness.catalogue import build_file
+
+    parts = [w.value for w in What if w is not What.all] if what is What.all else [what.value]
+    for part in parts:
+        chosen = {"law": law if part == "plant" or what is not What.all else None,
+                  "method": method if part == "observer" or what is not What.all else None}  # fmt: skip
+        print(build_file(part, out, fmi=int(fmi.value), kind=kind.value, **chosen))
+
+
+# -- run -------------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def run(
+    scenarios: Annotated[list[Path], typer.Argument(help="scenario files", metavar="SCENARIO.toml...")],
+    out: Annotated[Path, typer.Option(help="folder for the results")],
+    kind: KindOption = Kind.native,
+    fmi: FmiOption = Fmi.two,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
+    full: Annotated[bool, typer.Option("--full", help="signals.csv at full rate")] = False,
+    debug: DebugOption = False,
+) -> None:
+    """Run scenarios and write a result folder for each."""
+    from bristle.harness.run import Options
+    from bristle.harness.run import run as run_scenario
+
+    _refuse_duplicates(scenarios)
+    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full)
+    worst = PASS
+    for path in scenarios:
+        begin = time.perf_counter()
+        try:
+            with _progress(path.stem) as tell:
+                done = run_scenario(path, out, options, tell)
+        except BristleError as error:
+            if debug:
+                raise
+            _say(f"bristle: {error}")
+            worst = ERROR
+        else:
+            _report(done, time.perf_counter() - begin)
+            worst = max(worst, PASS if done.passed else FAIL)
+    raise typer.Exit(worst)
+
+
+def _refuse_duplicates(paths: Sequence[Path]) -> None:
+    stems = [path.stem for path in paths]
+    for path in paths:
+        if stems.count(path.stem) > 1:
+            raise BristleError(
+                f"scenario '{path.stem}' is given {stems.count(path.stem)} times; results are named by the file: rename one"
+            )
+
+
+def _report(done: Run, seconds: float) -> None:
+    result = done.result
+    failed = [check["name"] for check in result["checks"] if not check["pass"]]
+    why = ""
+    if "diverged" in result:
+        why = f"  {result['diverged']['fmu']} diverged at {result['diverged']['time_s']:g} s"
+    elif failed:
+        why = f"  failed: {', '.join(failed)}"
+    print(f"{result['scenario']:<24} {result['verdict']:<4} {seconds:7.1f} s  {done.folder / 'report.html'}{why}", flush=True)
+
+
+@contextmanager
+def _progress(name: str) -> Iterator[Callable[[str, int, int], None] | None]:
+    """Show a progress bar while a person looks on."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.fields[name]}"),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", name=name, total=None)
+
+        def tell(stage: str, done: int, total: int) -> None:
+            bar.update(task, description=stage, completed=done, total=total or None)
+
+        yield tell
+
+
+# -- entry -----------------------------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Run the command line; every mistake of the user ends as one line and exit code 2."""
+    debug = "--debug" in sys.argv
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))  # so that it too cleans up
+    try:
+        code = app(standalone_mode=False)
+    except KeyboardInterrupt:
+        _say("bristle: interrupted")
+        raise SystemExit(ERROR) from None
+    except BristleError as error:
+        if debug:
+            raise
+        _say(f"bristle: {error}")
+        raise SystemExit(ERROR) from None
+    except Exception as error:
+        if debug:
+            raise
+        raise SystemExit(_unexpected(error)) from None
+    raise SystemExit(code if isinstance(code, int) else PASS)
+
+
+def _unexpected(error: Exception) -> int:
+    """Say in one line what went wrong outside our own checks, wrong options included."""
+    usage = getattr(error, "format_message", None)  # click's own errors have it
+    if usage is not None:
+        _say(f"bristle: {usage()}; see bristle --help")
+    elif type(error).__name__ in ("Abort",):
+        _say("bristle: interrupted")
+    else:
+        _say(f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback")
+    return ERROR
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""Build an FMU, or take it from the cache.
+
+Nothing symbolic is imported before it is known that something must be built: `obtain` is quick when it is there.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bristle.model.cache import cached, digest
+from bristle.model.compiler import FLAGS, find_compiler
+from bristle.model.errors import BristleError
+
+if TYPE_CHECKING:
+    from bristle.model.program import Program
+
+WHAT = ("plant", "observer", "controller")
+CHOICE = {"plant": "law", "observer": "method"}  # what one variant alone is chosen by
+INGREDIENTS = ("bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
+LIBRARIES = ("bristle", "casadi", "fmpy", "pythonfmu")
+
+
+def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None) -> str | None:
+    """Return the variant asked for, or None for all; raise `BristleError` for what cannot be built."""
+    if what not in WHAT:
+        raise BristleError(f"unknown FMU '{what}'; known: {', '.join(WHAT)}")
+    if kind not in ("native", "python"):
+        raise BristleError(f"unknown kind of FMU '{kind}'; known: native, python")
+    if fmi not in ((2, 3) if kind == "native" else (2,)):
+        raise BristleError(f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}")
+    for name, value in (("law", law), ("method", method)):
+        if value is not None and CHOICE.get(what) != name:
+            raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
+    return law if what == "plant" else method
+
+
+def program_of(what: str, variant: str | None = None) -> Program:
+    """Return the program behind an FMU."""
+    definition = importlib.import_module(f"bristle.fmus.{what}.definition")
+    program: Program = definition.program() if variant is None else definition.program(variant)
+    return program
+
+
+def _content(what: str, fmi: int, kind: str, variant: str | None) -> dict[str, bytes]:
+    program = program_of(what, variant)
+    if kind == "python":
+        from bristle.fmus.python_fmu import python_files
+
+        return python_files(program)
+    from bristle.fmus.native import native_files
+
+    return native_files(program, fmi)
+
+
+def build(
+    what: str, out: Path, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None
+) -> Path:
+    """Write the FMU `what` (plant, observer or controller) to the file `out`.
+
+    Parameters
+    ----------
+    fmi : int
+        2 or 3.
+    kind : str
+        ``native`` (C99, compiled) or ``python`` (for hosts that run in Python; FMI 2 only).
+    law, method : str, optional
+        One friction law or one observer alone, instead of all of them behind a parameter.
+
+    Raises
+    ------
+    BristleError
+        If there is no such thing, no compiler, or `out` cannot be written.
+    """
+    from bristle.fmus.pack import write_archive
+
+    variant = _check(what, fmi, kind, law, method)
+    return write_archive(Path(out), _content(what, fmi, kind, variant))
+
+
+def _sources(package: str) -> list[str | bytes]:
+    """Return names and contents of a package's files, without importing it: that would cost more than building."""
+    spec = find_spec(package)
+    assert spec is not None
+    folder = Path(next(iter(spec.submodule_search_locations or ())))
+    paths = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".c", ".h", ".txt"))
+    return [part for path in paths for part in (path.relative_to(folder).as_posix(), path.read_bytes())]
+
+
+def _compiler() -> str:
+    """Return what tells one compiler from another: the command, and size and date of the program behind it."""
+    command = find_compiler()
+    status = os.stat(shutil.which(command[0]) or command[0])
+    return f"{command} {status.st_size} {status.st_mtime_ns}"
+
+
+def _key(*arguments: object) -> str:
+    sources = [part for name in INGREDIENTS for part in _sources(name)]
+    return digest(*sources, *(version(name) for name in LIBRARIES), *FLAGS, _compiler(), repr(arguments))
+
+
+def obtain(
+    what: str, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None
+) -> Path:
+    """Return the FMU as a file of the cache, built only if it is not there; arguments as of `build`."""
+    variant = _check(what, fmi, kind, law, method)
+    key = _key(what, fmi, kind, variant)
+    name = "-".join([what, *([variant] if variant else []), f"fmi{fmi}", kind, key[:24]])
+
+    def make(out: Path) -> None:
+        build(what, out, fmi=fmi, kind=kind, law=law, method=method)
+
+    return cached(f"{name}.fmu", make)

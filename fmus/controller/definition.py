@@ -1,0 +1,116 @@
+"""The velocity controller with its seeded reference."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+from bristle.model.program import Program
+from bristle.model.system import SAMPLE_TIME, System
+from bristle.model.variables import Namespace, Parameter, State, Variable
+
+SX = ca.SX
+
+MULTIPLIER, MODULUS = 16807, 2147483647
+SPREAD, OFFSET = 48271, 715225741  # of the seed: streams of neighbouring seeds are then no small multiples of each other
+WARM_UP = 24  # draws thrown away
+NORMAL_DRAWS = 12  # whose sum is nearly Gaussian
+
+KP = Parameter("kp", "kp", "V.s/rad", 4.0, 0.0, 1e6, "proportional gain", "astrom2008 section 10.1")
+KI = Parameter("ki", "ki", "V/rad", 20.0, 0.0, 1e6, "integral gain", "astrom2008 section 10.1")
+U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage asked for", "dixit2008 section IV-A")
+SEED = Parameter("seed", "seed", "1", 1.0, 1.0, MODULUS - 1.0, "whole number that chooses the reference", "park1988 section 2")
+ORDER = Parameter("order", "order", "1", 1.0, 1.0, 2.0, "low-pass sections that shape the reference, 1 or 2", "dixit2008 section IV-C")
+RMS = Parameter("rms", "rms", "rad/s", math.radians(120.0), 0.0, 1e4, "rms of the reference before clipping", "dixit2008 section IV-C")
+CLIP = Parameter("clip", "clip", "rad/s", math.radians(300.0), 0.0, 1e4, "largest reference", "dixit2008 section IV-C")
+CUTOFF = Parameter("cutoff", "omega_c", "rad/s", 5.0, 1e-3, 1e3, "cut-off of each section", "dixit2008 section IV-C")
+
+
+def draw(s: SX) -> SX:
+    """s' = 16807 s mod (2^31 - 1), exact in doubles.
+
+    Source: park1988 section 2.
+    """
+    product = MULTIPLIER * s
+    return product - ca.floor(product / MODULUS) * MODULUS
+
+
+def scrambled(seed: SX) -> SX:
+    """Return where the generator starts: 1 ... MODULUS - 1, neighbours far apart."""
+    mixed = SPREAD * ca.floor(seed) + OFFSET
+    s = 1 + mixed - ca.floor(mixed / (MODULUS - 1)) * (MODULUS - 1)
+    for _ in range(WARM_UP):
+        s = draw(s)
+    return s
+
+
+def normal(s: SX) -> tuple[SX, SX]:
+    """Return a nearly Gaussian number of variance 1, the sum of 12 uniform ones, and the generator after it."""
+    total = SX(0)
+    for _ in range(NORMAL_DRAWS):
+        s = draw(s)
+        total += s / MODULUS
+    return total - NORMAL_DRAWS / 2, s
+
+
+def _constants(system: System, p: Namespace) -> Namespace:
+    """Filter coefficients, and the stationary covariance P of the two sections for the rms asked for.
+
+    Section i: x_i' = a x_i + (1 - a) w_i with w_1 = g n (n white, variance 1) and w_2 = x_1'.
+    """
+    two = p.order >= 1.5
+    a = system.constant({"a": ca.exp(-p.cutoff * p.sample_time)}).a
+    one, squared = 1 - a, a * a
+    gain = p.rms * ca.sqrt(ca.if_else(two, (1 + a) ** 3 / (one * (1 + squared)), (1 + a) / one))
+    p11 = (one * gain) ** 2 / (1 - squared)
+    p12 = one * p11 / (1 - squared)
+    names = system.constant({"g": gain, "p11": p11, "p12": p12, "two": two})
+    return Namespace({**names.symbols, "a": a})
+
+
+def _reference(system: System, p: Namespace) -> SX:
+    """Declare the generator and the low-pass sections; return the clipped reference."""
+    k = _constants(system, p)
+    z1, s = normal(scrambled(p.seed))
+    z2, s = normal(s)
+    deviation = ca.sqrt(k.p11)
+    slope = ca.if_else(deviation > 0, k.p12 / deviation, 0)
+    rest = ca.sqrt(ca.fmax(p.rms**2 - slope**2, 0))
+    random = system.sampled(State("random", "1", "state of the random generator", initial=s))
+    x1 = system.sampled(State("x1", "rad/s", "first section", initial=deviation * z1))
+    x2 = system.sampled(State("x2", "rad/s", "second section", initial=slope * z1 + rest * z2))
+    following = draw(random)
+    noise = math.sqrt(3) * (2 * following / MODULUS - 1)
+    x1_next = k.a * x1 + (1 - k.a) * k.g * noise
+    system.update("random", following)
+    system.update("x1", x1_next)
+    system.update("x2", k.a * x2 + (1 - k.a) * x1_next)
+    return ca.fmin(ca.fmax(ca.if_else(k.two, x2, x1), -p.clip), p.clip)
+
+
+def _control(system: System, p: Namespace, error: SX) -> SX:
+    """Declare the PI controller u = sat(kp e + I), whose integral waits while u is saturated and e pushes further.
+
+    Source: astrom2008 section 10.1; conditional integration, section 10.4.
+    """
+    integral = system.sampled(State("integral", "V", "integral part"))
+    voltage = system.sampled(State("voltage", "V", "voltage asked for"))
+    wanted = p.kp * error + integral
+    free = ca.logic_or(ca.fabs(wanted) < p.u_max, wanted * error < 0)
+    system.update("voltage", ca.fmin(ca.fmax(wanted, -p.u_max), p.u_max))
+    system.update("integral", ca.if_else(free, integral + p.ki * p.sample_time * error, integral))
+    return voltage
+
+
+def program() -> Program:
+    """Return Controller: it ticks at t_k with the y_v of t_k and publishes u at t_k+1."""
+    system = System("controller", "velocity controller with a seeded random reference")
+    for parameter in (KP, KI, U_MAX, SEED, ORDER, RMS, CLIP, CUTOFF, SAMPLE_TIME):
+        system.parameter(parameter)
+    y_v = system.input(Variable("y_v", "rad/s", "measured velocity"))
+    p = system.namespace()
+    reference = _reference(system, p)
+    voltage = _control(system, p, reference - y_v)
+    system.output(Variable("u", "V", "voltage asked of the drive"), voltage)
+    system.output(Variable("reference", "rad/s", "velocity to follow"), reference)
+    return Program("Controller", [system])

@@ -1,0 +1,48 @@
+"""documentation/index.html of an FMU, generated from its variables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from bristle.fmus.interface import Exposed, Interface
+from bristle.model.variables import Parameter
+
+SECTIONS = {
+    "Parameters": ("parameter",),
+    "Calculated parameters": ("calculatedParameter",),
+    "Inputs": ("input",),
+    "Outputs": ("output",),
+    "States and derivatives": ("local",),
+}
+COLUMNS = ("name", "unit", "start", "interval", "meaning", "source")
+STYLE = "body{font-family:sans-serif;max-width:60em;margin:auto}table{border-collapse:collapse}td,th{padding:.2em .6em;text-align:left}"
+
+
+def _row(x: Exposed) -> list[str]:
+    variable = x.slot.variable
+    low, high = ("" if limit is None else f"{limit:g}" for limit in (x.minimum, x.maximum))
+    source = variable.source if isinstance(variable, Parameter) else ""
+    start = f"{x.slot.start:g}" if x.settable else ""
+    interval = f"[{low}, {high}]" if low or high else ""
+    return [x.name, variable.unit, start, interval, variable.description, source]
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    lines = ["<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row) + "</tr>"
+             for tag, row in (("th", COLUMNS), *(("td", row) for row in rows))]  # fmt: skip
+    return "<table>\n" + "\n".join(lines) + "\n</table>"
+
+
+def documentation(interface: Interface) -> str:
+    """Return a page with a table of all variables."""
+    program = interface.program
+    parts = [f"<h1>{escape(program.name)}</h1>\n<p>{escape(program.description)}</p>"]
+    if program.selector:
+        items = "".join(f"<li>{v.system.name}: {escape(v.system.description)}</li>" for v in program.variants)
+        parts.append(f"<p>The parameter <code>{program.selector}</code> chooses:</p>\n<ol>{items}</ol>")
+    for title, causalities in SECTIONS.items():
+        if variables := interface.of(*causalities):
+            parts.append(f"<h2>{title}</h2>\n" + _table([_row(x) for x in variables]))
+    head = f'<meta charset="utf-8">\n<title>{escape(program.name)}</title>\n<style>{STYLE}</style>'
+    return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n' + "\n".join(parts) + "\n</body>\n</html>\n"

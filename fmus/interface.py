@@ -1,0 +1,212 @@
+"""What a program shows through FMI: its variables with type, causality and limits, and the same as C tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+from bristle.model.program import Program, Slot, Variant
+from bristle.model.variables import Parameter, State
+
+SX = ca.SX
+
+CAUSALITY = {
+    "time": "independent", "selector": "parameter", "parameter": "parameter", "calculated": "calculatedParameter",
+    "input": "input", "output": "output", "state": "local", "der": "local",
+}  # fmt: skip
+INITIAL = {"parameter": "exact", "calculatedParameter": "calculated", "output": "calculated", "local": "calculated"}
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """A variable of the FMU; value reference and start are those of its slot."""
+
+    slot: Slot
+    type: str  # Real, Enumeration or Boolean
+    causality: str
+    variability: str
+    minimum: float | None = None
+    maximum: float | None = None
+    nominal: float | None = None
+
+    @property
+    def name(self) -> str:
+        return self.slot.name
+
+    @property
+    def reference(self) -> int:
+        return self.slot.index
+
+    @property
+    def initial(self) -> str | None:
+        return INITIAL.get(self.causality)
+
+    @property
+    def settable(self) -> bool:
+        return self.causality in ("parameter", "input")
+
+
+def symbols_in(expression: SX) -> set[str]:
+    """Return the names of the symbols in an expression."""
+    return {symbol.name() for symbol in ca.symvar(SX(expression))}
+
+
+class Interface:
+    """The variables of a program as a host sees them.
+
+    States and derivatives are shown only where Model Exchange is offered: native, one variant, and a smooth one.
+    """
+
+    def __init__(self, program: Program, native: bool = True) -> None:
+        self.program = program
+        self.exchange = native and len(program.variants) == 1 and program.variants[0].system.smooth
+        self.variables = [self._exposed(slot) for slot in program.slots if self._shown(slot)]
+
+    def _shown(self, slot: Slot) -> bool:
+        return slot.kind in CAUSALITY and (self.exchange or slot.kind not in ("state", "der"))
+
+    def _exposed(self, slot: Slot) -> Exposed:
+        variable, causality = slot.variable, CAUSALITY[slot.kind]
+        if isinstance(variable, Parameter):
+            return Exposed(slot, "Real", causality, "fixed", variable.minimum, variable.maximum)
+        if slot.kind == "selector":
+            return Exposed(slot, "Enumeration", causality, "fixed", 1, len(self.program.variants))
+        if slot.kind == "calculated":
+            return Exposed(slot, "Boolean" if variable.boolean else "Real", causality, "fixed")
+        if variable.boolean:
+            return Exposed(slot, "Boolean", causality, "discrete")
+        variability = "discrete" if slot.kind == "output" and not self._moves(slot.name) else "continuous"
+        nominal = self._size(slot.variable) if isinstance(slot.variable, State) else variable.nominal
+        return Exposed(slot, "Real", causality, variability, variable.minimum, variable.maximum, nominal)
+
+    def _moves(self, output: str) -> bool:
+        """True if an output can change between samples: it depends on a continuous state, an input or time."""
+        for variant in self.program.variants:
+            system = variant.system
+            if output in system.outputs and symbols_in(system.outputs[output][1]) & {*system.states, *system.inputs, "time"}:
+                return True
+        return False
+
+    def _size(self, state: State) -> float:
+        """Return the size of a state at the default parameters: what its integration tolerance is relative to."""
+        system = self.program.variants[0].system
+        names = list(system.parameters)
+        size = ca.Function("size", [system.vector(names)], [system.expand(SX(state.scale))])
+        value = abs(float(size([p.default for p in system.parameters.values()])))
+        return value if 0.0 < value < math.inf else 1.0
+
+    @property
+    def items(self) -> list[str]:
+        """The names behind the selector's values 1, 2, ..."""
+        return [variant.system.name for variant in self.program.variants]
+
+    def of(self, *causalities: str) -> list[Exposed]:
+        """Return the variables of some causalities, in the order of their value references."""
+        return [x for x in self.variables if x.causality in causalities]
+
+    @cached_property
+    def rates(self) -> list[tuple[Exposed, Exposed]]:
+        """Pairs (derivative, state); empty without Model Exchange."""
+        if not self.exchange:
+            return []
+        at = {x.reference: x for x in self.variables}
+        variant = self.program.variants[0]
+        return [(at[der], at[state]) for der, state in zip(variant.ders, variant.states, strict=True)]
+
+
+# -- C tables ------------------------------------------------------------------------------------------------------------
+
+
+def _moving(variant: Variant) -> tuple[int, int]:
+    """Return the stretch of `v[]` that a step of a variant changes, outputs aside: first place and length."""
+    places = [*variant.states, *variant.ders, *variant.finite]
+    return (min(places), max(places) - min(places) + 1) if places else (0, 0)
+
+
+def _number(value: float | None, unlimited: str) -> str:
+    return unlimited if value is None else repr(float(value))
+
+
+def _table(declaration: str, values: Iterable[object]) -> str:
+    return f"const {declaration} = {{{', '.join(map(str, values))}}};"
+
+
+def _jacobian_places(interface: Interface) -> tuple[list[int], list[int]]:
+    """Return the row of each variable as unknown and its column as known in the Jacobian, or -1."""
+    program = interface.program
+    row, column = [-1] * len(program.slots), [-1] * len(program.slots)
+    if interface.exchange:
+        variant = program.variants[0]
+        system = variant.system
+        for k, place in enumerate([*variant.ders, *(program.index[name] for name in system.outputs)]):
+            row[place] = k
+        for k, place in enumerate([*variant.states, *(program.index[name] for name in system.inputs)]):
+            column[place] = k
+    return row, column
+
+
+def _access(exposed: Exposed | None) -> str:
+    if exposed is None:
+        return "0"
+    bits = [exposed.type.upper()]
+    if exposed.settable:
+        bits.append("SET_EARLY")
+    if exposed.causality == "input":
+        bits.append("SET_LATE")
+    return " | ".join(bits)
+
+
+def _quoted(texts: Sequence[str]) -> list[str]:
+    return [f'"{text}"' for text in texts]
+
+
+def c_tables(interface: Interface, fmi: int) -> dict[str, str]:
+    """Return interface.h and interface.c."""
+    program = interface.program
+    shown = {x.reference: x for x in interface.variables if fmi == 3 or x.causality != "independent"}
+    each = [shown.get(slot.index) for slot in program.slots]
+    known = sum(1 for place in _jacobian_places(interface)[1] if place >= 0)
+    row, column = _jacobian_places(interface)
+    salt = program.token.strip("{}").replace("-", "")[:16]
+    header = f"""/* What the host sees of {program.name} (generated) */
+#ifndef BRISTLE_INTERFACE_H
+#define BRISTLE_INTERFACE_H
+
+#include "model.h"
+
+#define TOKEN "{program.token}"
+#define TOKEN_SALT 0x{salt}u
+#define SMOOTH {int(interface.exchange)} /* Model Exchange and derivatives are offered */
+#define N_KNOWN {known} /* columns of the Jacobian */
+
+enum {{ REAL = 1, ENUMERATION = 2, BOOLEAN = 4, SET_EARLY = 8, SET_LATE = 16 }}; /* SET_LATE: also after initialization */
+
+extern const unsigned char ACCESS[N_V];
+extern const double LOW[N_V], HIGH[N_V], NOMINAL[N_V];
+extern const char *const NAME[N_V], *const UNIT[N_V];
+extern const short ROW[N_V], COLUMN[N_V]; /* place in the Jacobian as unknown, as known; -1: none */
+extern const int MOVING[N_VARIANTS][2];   /* first and number of the places in v[] that a step changes */
+
+#endif
+"""
+    body = [
+        f"/* What the host sees of {program.name} (generated) */",
+        '#include "interface.h"',
+        "",
+        "#include <float.h>",
+        "",
+        _table("unsigned char ACCESS[N_V]", [_access(x) for x in each]),
+        _table("double LOW[N_V]", [_number(x.minimum if x else None, "-DBL_MAX") for x in each]),
+        _table("double HIGH[N_V]", [_number(x.maximum if x else None, "DBL_MAX") for x in each]),
+        _table("double NOMINAL[N_V]", [_number(x.nominal if x else None, "1.0") for x in each]),
+        _table("char *const NAME[N_V]", _quoted([x.name if x else "" for x in each])),
+        _table("char *const UNIT[N_V]", _quoted([x.slot.variable.unit if x else "" for x in each])),
+        _table("short ROW[N_V]", row),
+        _table("short COLUMN[N_V]", column),
+        _table("int MOVING[N_VARIANTS][2]", [f"{{{a}, {n}}}" for a, n in map(_moving, program.variants)]),
+        "",
+    ]
+    return {"interface.h": header, "interface.c": "\n".join(body)}

@@ -1,0 +1,41 @@
+"""Files into an archive: the same files give the same bytes, and a half-written archive is never seen."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from bristle.model.errors import BristleError
+
+EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a ZIP file knows
+PERMISSIONS = 0o100644 << 16
+
+
+def _fill(path: Path, files: Mapping[str, bytes]) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in sorted(files):
+            entry = zipfile.ZipInfo(name, EPOCH)
+            entry.create_system = 3  # Unix, wherever it is built
+            entry.external_attr = PERMISSIONS
+            archive.writestr(entry, files[name], zipfile.ZIP_DEFLATED, 9)
+
+
+def write_archive(out: Path, files: Mapping[str, bytes]) -> Path:
+    """Write `files` (name -> content) as the ZIP archive `out`.
+
+    Raises
+    ------
+    BristleError
+        If it cannot be written; `out` is then as it was.
+    """
+    try:
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=".making-") as folder:
+            fresh = Path(folder) / out.name
+            _fill(fresh, files)
+            os.replace(fresh, out)
+    except OSError as error:
+        raise BristleError(f"cannot write {out}: {error.strerror}; choose a folder that exists, is writable and has space") from None
+    return out

@@ -1,0 +1,14 @@
+"""The servo with friction, all laws or one."""
+
+from __future__ import annotations
+
+from bristle.model.program import Program
+from bristle.plant.servo import servo_program
+
+
+def program(law: str | None = None) -> Program:
+    """Return ServoPlant; of a smooth law alone without the encoder, so that Model Exchange can be offered."""
+    if law is None:
+        return servo_program()
+    lean = servo_program(law, encoder=False)
+    return lean if lean.variants[0].system.smooth else servo_program(law)

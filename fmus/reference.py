@@ -1,0 +1,83 @@
+"""Short reference runs of the shipped FMUs, and whether a run stays inside a tube around them.
+
+``python -m bristle.fmus.reference`` accepts the present behaviour: it writes reference.csv anew in each FMU's folder.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from bristle.fmus.build import WHAT, program_of
+from bristle.fmus.interface import Interface
+from bristle.model.native import Native
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STEP, STEPS, EVERY = 1e-3, 2000, 20  # s; communication steps in a run; steps from row to row
+TUBE = 1e-6  # half width over the range of the signal
+
+
+def inputs(what: str) -> dict[str, Array]:
+    """Return the inputs of the reference run, one value a step."""
+    t = STEP * np.arange(STEPS)
+    voltage = 6.0 * np.sin(5.0 * t) + 2.0 * np.sin(23.0 * t)
+    if what == "plant":
+        return {"u": voltage, "tau_load": np.where(t < 1.0, 0.0, 0.002), "load_scale": np.where(t < 1.5, 1.0, 1.5)}
+    if what == "observer":
+        return {"u": voltage, "y_theta": 0.8 - 0.8 * np.cos(5.0 * t), "y_v": 4.0 * np.sin(5.0 * t)}
+    return {"y_v": 2.0 * np.sin(3.0 * t)}
+
+
+def reference_run(what: str) -> dict[str, Array]:
+    """Simulate the program behind an FMU, without FMI; return time, inputs and all outputs that are numbers."""
+    program, given = program_of(what), inputs(what)
+    names = [x.name for x in Interface(program).of("output")]
+    record, _ = Native(program).run(STEP, given, names)
+    columns = {"time": STEP * np.arange(STEPS + 1)}
+    columns |= {name: np.append(values, values[-1]) for name, values in given.items()}
+    columns |= {name: values for name, values in zip(names, record.T, strict=True) if np.all(np.isfinite(values))}
+    return {name: values[::EVERY] for name, values in columns.items()}
+
+
+def read_reference(what: str) -> dict[str, Array]:
+    """Return the columns of an FMU's reference.csv."""
+    lines = (files("bristle.fmus") / what / "reference.csv").read_text(encoding="utf-8").splitlines()
+    header, *rows = csv.reader(lines)
+    table = np.array([[float(cell) for cell in row] for row in rows])
+    return dict(zip(header, table.T, strict=True))
+
+
+def outside(reference: Mapping[str, Array], result: Mapping[str, Array]) -> dict[str, float]:
+    """Return the signals of `reference` that `result` misses, with their largest distance over the tube's half width.
+
+    A missing signal, a missing row or a NaN is outside.
+    """
+    found = {}
+    for name, expected in reference.items():
+        got = result.get(name)
+        if got is None or len(got) != len(expected):
+            found[name] = np.inf
+            continue
+        width = TUBE * max(float(np.ptp(expected)), float(np.max(np.abs(expected))), np.finfo(float).tiny)
+        distance = np.abs(got - expected) / width
+        if not np.all(distance <= 1.0):
+            found[name] = float(np.max(np.where(np.isnan(distance), np.inf, distance)))
+    return found
+
+
+def write_reference(what: str, folder: Path) -> None:
+    """Write reference.csv into an FMU's folder."""
+    columns = reference_run(what)
+    lines = [",".join(f'"{name}"' for name in columns)]
+    lines += [",".join(f"{value:.12g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    (folder / "reference.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    for each in WHAT:
+        write_reference(each, Path(__file__).parent / each)

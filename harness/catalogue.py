@@ -1,0 +1,51 @@
+"""What there is to choose from, and FMUs as files."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+from bristle.harness.fmu import Fmu
+from bristle.model.errors import BristleError
+
+
+def scenarios() -> dict[str, str]:
+    """Return the titles of the scenarios that come with bristle, by name."""
+    found = {}
+    for entry in sorted(files("bristle.scenarios").iterdir(), key=lambda e: e.name):
+        if entry.name.endswith(".toml"):
+            found[entry.name.removesuffix(".toml")] = str(tomllib.loads(entry.read_text(encoding="utf-8")).get("title", ""))
+    return found
+
+
+def _choices(what: str, selector: str) -> dict[str, str]:
+    """Return the items of an FMU's selector with their descriptions."""
+    from bristle.fmus import obtain
+
+    fmu = Fmu(obtain(what))
+    declared = fmu.variables[selector].declaredType
+    return {str(item.name): str(item.description or "") for item in declared.items}
+
+
+def catalogue() -> dict[str, dict[str, str]]:
+    """Return laws, methods and scenarios with a line about each, as the FMUs and files say it."""
+    return {
+        "friction laws": _choices("plant", "law"),
+        "observer methods": _choices("observer", "method"),
+        "scenarios": scenarios(),
+    }
+
+
+def build_file(what: str, out: Path, *, fmi: int, kind: str, law: str | None, method: str | None) -> Path:
+    """Build an FMU into the folder `out`, named after what it is."""
+    from bristle.fmus import build
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BristleError(f"output folder {out}: {error.strerror}; choose another with --out") from None
+    names = {"plant": "ServoPlant", "observer": "AdaptiveObserver", "controller": "Controller"}
+    variant = law or method
+    stem = names.get(what, what) + (f"_{variant}" if variant else "")
+    return build(what, out / f"{stem}.fmu", fmi=fmi, kind=kind, law=law, method=method)

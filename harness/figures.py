@@ -1,0 +1,280 @@
+"""The report's figures as SVG text; degrees on the axes, SI everywhere else."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.harness.metrics import BAND
+from bristle.harness.validation import Validation
+
+Array = NDArray[np.float64]
+
+# Okabe and Ito's colours, told apart by colour-blind readers too
+BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
+DEGREES = 180.0 / math.pi
+POINTS = 1200  # of a curve
+CLOUD = 5000  # of a scatter
+LOOPS, NEAR = 5.0, 30.0  # s and deg/s of the friction loops near rest
+WINDOW = 10.0  # s of signals that are shown
+SYMBOLS = {
+    "alpha2": "$\\alpha_2$", "b": "$b$", "Fc": "$F_c$", "sigma0": "$\\sigma_0$", "sigma1": "$\\sigma_1$",
+    "sigma2": "$\\sigma_2$", "c": "$c$", "tau": "$\\tau$",
+}  # fmt: skip
+NAMES = {
+    "model": "observer's model",
+    "floor": "floor: fitted 7-parameter model",
+    "coulomb": "fitted viscous + Coulomb",
+    "linear": "fitted viscous",
+}
+SHADES = {"model": BLUE, "floor": GREEN, "coulomb": ORANGE, "linear": GREY}
+STYLE: Any = {
+    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"], "font.size": 9,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
+    "axes.titlesize": 9.5, "axes.titlelocation": "left", "axes.linewidth": 0.8, "axes.grid": True, "axes.axisbelow": True,
+    "grid.color": "#e6e8ec", "grid.linewidth": 0.7, "xtick.color": INK, "ytick.color": INK, "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5, "lines.linewidth": 1.4, "lines.solid_joinstyle": "round", "legend.frameon": False,
+    "legend.fontsize": 8.5, "mathtext.fontset": "dejavusans", "svg.hashsalt": "bristle", "path.simplify": True,
+}  # fmt: skip
+
+
+@dataclass
+class Pictures:
+    """What there is to draw."""
+
+    time: Array
+    estimates: Mapping[str, Mapping[str, Any]]
+    hats: Mapping[str, Array]
+    true: Mapping[str, Array]
+    signals: Mapping[str, Array] = field(default_factory=dict)
+    friction: tuple[Array, Array] | None = None  # v, F/J of the plant
+    friction_hat: tuple[Array, Array] | None = None
+    validation: Validation | None = None
+
+    @property
+    def step(self) -> float:
+        """Time between two rows."""
+        return float(self.time[1] - self.time[0]) if len(self.time) > 1 else 1.0
+
+
+def _thin(n: int, points: int = POINTS) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, n - 1, min(n, points)).round().astype(np.intp))
+
+
+def _svg(figure: Any, salt: str) -> str:
+    from matplotlib import rc_context
+
+    out = io.StringIO()
+    with rc_context({"svg.hashsalt": f"bristle-{salt}"}):
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    text = out.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _figure(width: float, height: float) -> Any:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasSVG(figure)
+    return figure
+
+
+def draw(pictures: Pictures) -> dict[str, str]:
+    """Return the figures by name, each an <svg> element."""
+    from matplotlib import rc_context
+
+    made = {}
+    with rc_context(STYLE):
+        for name, painter in (
+            ("estimates", _estimates), ("signals", _signals), ("friction", _friction), ("validation", _validation),
+        ):  # fmt: skip
+            figure = painter(pictures)
+            if figure is not None:
+                made[name] = _svg(figure, name)
+    return made
+
+
+def _unit(text: str) -> str:
+    """Write a unit the way people do: 1/s2 -> s⁻², rad/s2 -> rad/s²."""
+    return {"1/s": "s⁻¹", "1/s2": "s⁻²", "1/rad": "rad⁻¹", "1": ""}.get(text, text.replace("s2", "s²").replace(".", "·"))
+
+
+# -- estimates -------------------------------------------------------------------------------------------------------
+
+
+def _estimates(pictures: Pictures) -> Any:
+    names = [name for name in pictures.estimates if name in pictures.hats]
+    if not names:
+        return None
+    columns = len(names) if len(names) <= 3 else 2 if len(names) == 4 else 3 if len(names) <= 6 else 4
+    rows = -(-len(names) // columns)
+    figure = _figure(11.0, 2.15 * rows + 0.35)
+    axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False)).ravel()
+    for ax, name in zip(axes, names, strict=False):
+        _estimate(ax, pictures, name)
+    for ax in axes[len(names) :]:
+        ax.set_visible(False)
+    for ax in axes[max(0, len(names) - columns) : len(names)]:
+        ax.set_xlabel("time, s")
+        ax.tick_params(labelbottom=True)
+    return figure
+
+
+def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
+    facts, hat = pictures.estimates[name], pictures.hats[name]
+    index = _thin(len(hat))
+    time = pictures.time[index]
+    unit = _unit(facts["unit"])
+    ax.set_title(f"{SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
+    true = pictures.true.get(name)
+    if true is not None:
+        level = true[index]
+        ax.fill_between(time, level * (1 - BAND / 100), level * (1 + BAND / 100), color=GREY, alpha=0.22, linewidth=0)
+        ax.plot(time, level, color=INK, linestyle=(0, (4, 3)), linewidth=1.1)
+        _limits(ax, hat, true)
+    ax.plot(time, hat[index], color=BLUE)
+    ax.set_xlim(0, pictures.time[-1] or 1.0)
+    settled, error = facts.get("settling_s"), facts.get("error_percent")
+    if settled and math.isfinite(settled):
+        ax.axvline(settled, color=GREEN, linewidth=1.0, linestyle=":")
+    if error is not None and math.isfinite(error):
+        when = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
+        ax.set_title(f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= BAND else RED)
+
+
+def _limits(ax: Any, hat: Array, true: Array) -> None:
+    """Show the truth and where the estimate goes, but not the whole of a first excursion."""
+    finite = hat[np.isfinite(hat)]
+    size = float(np.max(np.abs(true)))
+    if not len(finite) or size == 0:
+        return
+    low = max(min(float(np.percentile(finite, 1)), float(true.min())), float(true.min()) - 1.5 * size)
+    high = min(max(float(np.percentile(finite, 99)), float(true.max())), float(true.max()) + 1.5 * size)
+    margin = max(0.08 * (high - low), 0.08 * size)
+    ax.set_ylim(low - margin, high + margin)
+
+
+# -- signals ---------------------------------------------------------------------------------------------------------
+
+
+def _window(time: Array) -> slice:
+    """Return the last seconds of a run."""
+    first = int(np.searchsorted(time, time[-1] - WINDOW))
+    return slice(first, len(time))
+
+
+def _signals(pictures: Pictures) -> Any:
+    signals, part = pictures.signals, _window(pictures.time)
+    if "v" not in signals or len(pictures.time[part]) < 2:
+        return None
+    figure = _figure(11.0, 4.2)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
+    index = np.arange(len(pictures.time))[part]
+    index = index[_thin(len(index), 2000)]
+    time = pictures.time[index]
+    curves = (("reference", PALE, "reference"), ("v", BLUE, "velocity"), ("v_hat", ORANGE, "observer's estimate"))
+    for key, colour, label in curves:
+        if key in signals and np.isfinite(signals[key][index]).any():
+            style: dict[str, Any] = {"linestyle": (0, (3, 2)), "linewidth": 1.2} if key == "v_hat" else {}
+            style |= {"linewidth": 0.9} if key == "reference" else {}
+            top.plot(time, signals[key][index] * DEGREES, color=colour, label=label, **style)
+    top.set_ylabel("velocity, deg/s")
+    top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.14))
+    if "u" in signals:
+        bottom.plot(time, signals["u"][index], color=INK, linewidth=1.0)
+    bottom.set_ylabel("voltage, V")
+    bottom.set_xlabel("time, s")
+    bottom.set_xlim(time[0], time[-1])
+    return figure
+
+
+# -- friction --------------------------------------------------------------------------------------------------------
+
+
+def _friction(pictures: Pictures) -> Any:
+    if pictures.friction is None and pictures.friction_hat is None:
+        return None
+    figure = _figure(11.0, 3.9)
+    wide, near = figure.subplots(1, 2, width_ratios=[1.25, 1])
+    for cloud, colour, size, label in (
+        (pictures.friction, PALE, 4.5, "plant, F/J"),
+        (pictures.friction_hat, BLUE, 1.6, "observer"),
+    ):
+        if cloud is None:
+            continue
+        v, force = cloud[0] * DEGREES, cloud[1]
+        index = _thin(len(v), CLOUD)
+        wide.plot(v[index], force[index], ".", color=colour, markersize=size, markeredgewidth=0, label=label, rasterized=True)
+        last = slice(-round(LOOPS / pictures.step), None)
+        line = {"linewidth": 2.6, "color": PALE} if colour == PALE else {"linewidth": 0.9, "color": BLUE}
+        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * NEAR, force[last], np.nan), **line)
+    wide.set_ylabel("friction over inertia, rad/s²")
+    wide.set_title("whole range")
+    near.set_title(f"near rest, the last {LOOPS:g} s: presliding loops")
+    near.set_xlim(-NEAR, NEAR)
+    wide.legend(loc="upper left", markerscale=3)
+    for ax in (wide, near):
+        ax.set_xlabel("velocity, deg/s")
+    return figure
+
+
+# -- validation ------------------------------------------------------------------------------------------------------
+
+
+def _validation(pictures: Pictures) -> Any:
+    found = pictures.validation
+    if found is None:
+        return None
+    figure = _figure(11.0, 4.6)
+    grid = figure.add_gridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[1.5, 1])
+    top = figure.add_subplot(grid[0, 0])
+    low = figure.add_subplot(grid[1, 0], sharex=top)
+    bars = figure.add_subplot(grid[:, 1])
+    index = np.arange(len(found.time))[_window(found.time)]
+    index = index[_thin(len(index), 1500)]
+    time = found.time[index]
+    top.plot(time, found.measured[index] * DEGREES, color=INK, linewidth=2.2, alpha=0.35, label="plant")
+    for name in ("linear", "coulomb", "floor", "model"):
+        if name in found.predictions:
+            error = (found.predictions[name] - found.measured)[index] * DEGREES
+            low.plot(time, error, color=SHADES[name], linewidth=1.0)
+    if "model" in found.predictions:
+        top.plot(time, found.predictions["model"][index] * DEGREES, color=BLUE, linestyle=(0, (3, 2)), label=NAMES["model"])
+    top.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
+    top.set_ylabel("velocity, deg/s")
+    top.tick_params(labelbottom=False)
+    low.set_ylabel("error, deg/s")
+    low.set_xlabel("time, s (second record, open loop)")
+    low.set_xlim(time[0], time[-1])
+    _bars(bars, found.scores)
+    return figure
+
+
+def _bars(ax: Any, scores: Mapping[str, float]) -> None:
+    shown = [
+        (name, scores[name]) for name in ("model", "floor", "coulomb", "linear") if name in scores and math.isfinite(scores[name])
+    ]
+    ax.set_title("MSE, % of variance (log scale)")
+    ax.grid(axis="y", visible=False)
+    if not shown:
+        ax.text(0.5, 0.5, "no model could be scored", ha="center", transform=ax.transAxes, color=GREY)
+        ax.set_axis_off()
+        return
+    values = [max(value, 1e-14) for _, value in shown]
+    left = 10 ** math.floor(math.log10(min(values)) - 0.5)
+    right = max(values) * 1.5
+    for row, ((name, value), bar) in enumerate(zip(shown, values, strict=True)):
+        ax.barh(row, bar - left, left=left, color=SHADES[name], height=0.42)
+        ax.text(left * 1.15, row - 0.34, f"{NAMES[name]}: {value:.3g} %", va="center", fontsize=8.5, color=INK)
+    ax.set_xscale("log")
+    ax.set_xlim(left, right)
+    ax.set_ylim(len(shown) - 0.5, -0.7)
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)

@@ -1,0 +1,351 @@
+"""FMUs as the harness sees them: what the modelDescription says, and a loaded instance."""
+
+from __future__ import annotations
+
+import collections
+import ctypes
+import hashlib
+import math
+import re
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from bristle.model.errors import BristleError
+from bristle.model.units import parse_unit, quantity
+
+Value = float | int | bool | str
+
+MAX_UNPACKED = 1 << 30  # bytes an FMU may unpack to
+MAX_RATIO, RATIO_FROM = 100, 1 << 26  # from 64 MiB on, more than 100 times the archive's size is a bomb
+IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # FMI: the name of a C function's prefix, hence of a plain file
+
+_REAL, _ENUMERATION, _BOOLEAN = ("Real", "Float64"), ("Enumeration",), ("Boolean",)
+
+
+def suggest(word: str, known: Sequence[str]) -> str:
+    """Return " (did you mean 'x'?)" or nothing."""
+    import difflib
+
+    near = difflib.get_close_matches(word, known, 1, 0.6)
+    return f" (did you mean '{near[0]}'?)" if near else ""
+
+
+class Fmu:
+    """An FMU file and its interface; nothing is unpacked or loaded yet.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    foreign : bool
+        Whether somebody else made it: it is then validated, and run in a process of its own.
+
+    Raises
+    ------
+    BristleError
+        If it is not a readable Co-Simulation FMU of FMI 2 or 3, or not safe to unpack.
+    """
+
+    def __init__(self, path: Path, foreign: bool = False) -> None:
+        self.path, self.foreign = Path(path), foreign
+        self._check_archive()
+        self.description = self._read()
+        self.variables = {v.name: v for v in self.description.modelVariables}
+
+    def __reduce__(self) -> tuple[type[Fmu], tuple[Path, bool]]:
+        return Fmu, (self.path, self.foreign)
+
+    def _check_archive(self) -> None:
+        try:
+            packed = self.path.stat().st_size
+            with zipfile.ZipFile(self.path) as archive:
+                unpacked = sum(entry.file_size for entry in archive.infolist())
+        except OSError as error:
+            raise BristleError(f"FMU {self.path}: {error.strerror}; check the path") from None
+        except zipfile.BadZipFile:
+            raise BristleError(f"FMU {self.path}: not a zip archive; give an .fmu file") from None
+        if unpacked > MAX_UNPACKED or (unpacked > RATIO_FROM and unpacked > MAX_RATIO * packed):
+            raise BristleError(
+                f"FMU {self.path}: {packed} bytes unpack to {unpacked}; allowed are {MAX_UNPACKED} bytes and, "
+                f"from {RATIO_FROM} on, {MAX_RATIO} times the archive; this looks like an archive bomb"
+            )
+
+    def _read(self) -> Any:
+        from fmpy.model_description import read_model_description
+
+        try:
+            description = read_model_description(str(self.path), validate=self.foreign)
+        except Exception as error:  # FMPy lets through whatever zipfile, lxml or its own parser raise
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BristleError(f"FMU {self.path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
+        if description.coSimulation is None or description.fmiMajorVersion not in (2, 3):
+            raise BristleError(f"FMU {self.path}: no Co-Simulation of FMI 2 or 3 inside; export it as Co-Simulation")
+        identifier = str(description.coSimulation.modelIdentifier)
+        if IDENTIFIER.fullmatch(identifier) is None:
+            raise BristleError(f"FMU {self.path}: modelIdentifier '{identifier}' is not a plain name; do not trust this file")
+        return description
+
+    @property
+    def fmi(self) -> int:
+        """Major version of FMI."""
+        return int(self.description.fmiMajorVersion)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the file."""
+        return hashlib.sha256(self.path.read_bytes()).hexdigest()
+
+    @cached_property
+    def kind(self) -> str:
+        """``python`` for an FMU that needs a Python host, else ``native``."""
+        with zipfile.ZipFile(self.path) as archive:
+            return "python" if any(re.fullmatch(r"resources/[^/]+\.py", name) for name in archive.namelist()) else "native"
+
+    def names(self, causality: str) -> list[str]:
+        """Return the names of all variables of a causality."""
+        return [v.name for v in self.variables.values() if v.causality == causality]
+
+    def has(self, name: str, causality: str) -> bool:
+        """Say whether there is such a variable."""
+        return name in self.variables and self.variables[name].causality == causality
+
+    def reference(self, name: str) -> int:
+        """Return the value reference of a variable."""
+        return int(self.variables[name].valueReference)
+
+    def is_real(self, name: str) -> bool:
+        """Say whether a variable is a floating-point number."""
+        return self.variables[name].type in _REAL
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a variable, ``1`` if it declares none."""
+        variable = self.variables[name]
+        return str(variable.unit or (variable.declaredType and variable.declaredType.unit) or "1")
+
+    def choices(self, name: str) -> dict[str, int]:
+        """Return the items of an Enumeration."""
+        variable = self.variables.get(name)
+        if variable is None or variable.declaredType is None:
+            return {}
+        return {str(item.name): int(item.value) for item in variable.declaredType.items}
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Return the closed interval of allowed values."""
+        variable = self.variables[name]
+        declared = variable.declaredType
+        low = variable.min if variable.min is not None else declared.min if declared else None
+        high = variable.max if variable.max is not None else declared.max if declared else None
+        return float(low) if low is not None else -math.inf, float(high) if high is not None else math.inf
+
+    def start(self, name: str) -> float:
+        """Return the start value of a numeric variable."""
+        return float(self.variables[name].start)
+
+    def parameter(self, name: str, given: object) -> Value:
+        """Check a parameter's value as a user writes it and return it in the FMU's unit.
+
+        Raises
+        ------
+        BristleError
+            If the parameter is unknown or the value does not fit; the message does not say where it was written.
+        """
+        if not self.has(name, "parameter"):
+            known = self.names("parameter")
+            raise BristleError(f"no such parameter{suggest(name, known)}; known: {', '.join(known)}")
+        kind = self.variables[name].type
+        if kind in _ENUMERATION:
+            return self._choice(name, given)
+        if kind in _BOOLEAN:
+            if not isinstance(given, bool):
+                raise BristleError("not a Boolean; write true or false")
+            return given
+        if kind == "String":
+            return str(given)
+        value = self.physical(name, given)
+        if kind in _REAL:
+            return value
+        if value != int(value):
+            raise BristleError("not a whole number; write one without a fraction")
+        return int(value)
+
+    def _choice(self, name: str, given: object) -> int:
+        choices = self.choices(name)
+        if isinstance(given, str) and given in choices:
+            return choices[given]
+        raise BristleError(f"not a choice{suggest(str(given), list(choices))}; choose one of: {', '.join(choices)}")
+
+    def physical(self, name: str, given: object) -> float:
+        """Read a value with its unit and check it against the interval of variable `name`."""
+        if not isinstance(given, (str, int, float)):
+            raise BristleError(f'not a quantity; write a number with a unit such as "1 {self.unit(name)}"')
+        value = quantity(given, self.unit(name))
+        low, high = self.interval(name)
+        if not low <= value <= high:
+            raise BristleError(f"outside [{low:g}, {high:g}] {self.unit(name)}; choose a value in that interval")
+        return value
+
+    def check_si(self, name: str, unit: str) -> None:
+        """Refuse a variable that is there in another unit than `unit` (one that declares none is taken as it is)."""
+        have = self.unit(name)
+        if have == "1":
+            return
+        try:
+            same = parse_unit(have).exponents == parse_unit(unit).exponents and parse_unit(have).factor == parse_unit(unit).factor
+        except BristleError:
+            same = False
+        if not same:
+            raise BristleError(
+                f"FMU {self.path}: variable '{name}' is in {have}; bristle connects it in {unit}: export it in {unit}"
+            )
+
+
+_messages: collections.deque[str] = collections.deque(maxlen=20)
+_callbacks: Any = None
+
+
+def _callbacks2() -> Any:
+    """Return the FMI 2 callbacks that collect messages; one set, because FMPy's formatting proxy serves one logger."""
+    global _callbacks
+    if _callbacks is None:
+        from fmpy import calloc, fmi2, free
+
+        def log(_environment: object, _name: bytes, status: int, _category: bytes, message: bytes) -> None:
+            if status > fmi2.fmi2OK and message:
+                _messages.append(message.decode("utf-8", "replace"))
+
+        made = fmi2.fmi2CallbackFunctions()
+        made.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+        made.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+        made.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        keep = made.logger
+        if hasattr(fmi2, "addLoggerProxy"):
+            fmi2.addLoggerProxy(ctypes.byref(made))
+        made._keep = keep  # the proxy calls it; ctypes must not collect it
+        _callbacks = made
+    return _callbacks
+
+
+def _log3(_environment: object, status: int, _category: bytes, message: bytes) -> None:
+    if status > 0 and message:
+        _messages.append(message.decode("utf-8", "replace"))
+
+
+class Slave:
+    """A loaded and instantiated FMU; a context manager that frees it and removes what it unpacked."""
+
+    def __init__(self, fmu: Fmu, name: str) -> None:
+        self.fmu, self.name = fmu, name
+        self._folder = tempfile.mkdtemp(prefix="bristle-fmu-")
+        self.instance: Any = None
+        try:
+            self._load()
+        except BaseException:
+            self.close()
+            raise
+
+    def _load(self) -> None:
+        from fmpy import extract, fmi2, fmi3, platform, platform_tuple
+
+        binaries = f"binaries/{platform if self.fmu.fmi == 2 else platform_tuple}/"
+        description = self.fmu.description
+        arguments = {
+            "guid": description.guid,
+            "modelIdentifier": description.coSimulation.modelIdentifier,
+            "unzipDirectory": self._folder,
+            "instanceName": self.name,
+        }
+        try:
+            extract(str(self.fmu.path), self._folder, lambda name: name.startswith((binaries, "resources/")))
+            if not list(Path(self._folder).glob(f"{binaries}*")):
+                raise BristleError(f"FMU {self.fmu.path}: no binary for this machine ({binaries}); export one for it")
+            Path(self._folder, "resources").mkdir(exist_ok=True)
+            if self.fmu.fmi == 2:
+                self.instance = fmi2.FMU2Slave(**arguments)
+                self.instance.instantiate(callbacks=_callbacks2(), loggingOn=not self.fmu.foreign)
+            else:
+                self.instance = fmi3.FMU3Slave(libraryPath=self._library(binaries), **arguments)
+                self.instance.instantiate(logMessage=_log3, loggingOn=not self.fmu.foreign)
+        except BristleError:
+            raise
+        except Exception as error:
+            raise BristleError(f"FMU {self.fmu.path}: cannot be loaded: {self._why(error)}; rebuild or replace it") from None
+
+    def _library(self, binaries: str) -> str:
+        from fmpy import sharedLibraryExtension
+
+        return str(Path(self._folder, binaries, self.fmu.description.coSimulation.modelIdentifier + sharedLibraryExtension))
+
+    @staticmethod
+    def _why(error: BaseException) -> str:
+        """Return the FMU's own last word, else the exception's, on one line."""
+        text = _messages.pop() if _messages else str(error) or type(error).__name__
+        return " ".join(text.split())
+
+    def last_message(self) -> str:
+        """Return and forget what the FMU logged last."""
+        return " ".join(_messages.pop().split()) if _messages else "no message"
+
+    def close(self) -> None:
+        """Free the instance and the library, remove the unpacked files."""
+        if self.instance is not None:
+            loaded, self.instance = self.instance, None
+            if loaded.component:
+                loaded.freeInstance()
+            else:
+                loaded.freeLibrary()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def __enter__(self) -> Slave:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def set_value(self, name: str, value: Value) -> None:
+        """Set one variable by name."""
+        vr, kind, instance = [self.fmu.reference(name)], self.fmu.variables[name].type, self.instance
+        if kind == "String":
+            instance.setString(vr, [value])
+        elif kind == "Boolean":
+            instance.setBoolean(vr, [value])
+        elif kind in _REAL:
+            (instance.setReal if self.fmu.fmi == 2 else instance.setFloat64)(vr, [value])
+        elif self.fmu.fmi == 2:
+            instance.setInteger(vr, [value])
+        else:
+            getattr(instance, "setInt64" if kind == "Enumeration" else f"set{kind}")(vr, [value])
+
+    def get_value(self, name: str) -> float:
+        """Read one number or Boolean by name."""
+        vr, instance = [self.fmu.reference(name)], self.instance
+        if self.fmu.variables[name].type == "Boolean":
+            return float(instance.getBoolean(vr)[0])
+        return float((instance.getReal if self.fmu.fmi == 2 else instance.getFloat64)(vr)[0])
+
+    def initialise(self, values: Mapping[str, Value]) -> None:
+        """Set start values and go through initialisation at time 0."""
+        instance = self.instance
+        _messages.clear()
+        try:
+            for name, value in values.items():
+                self.set_value(name, value)
+            if self.fmu.fmi == 2:
+                instance.setupExperiment(startTime=0.0)
+                instance.enterInitializationMode()
+            else:
+                instance.enterInitializationMode(startTime=0.0)
+            instance.exitInitializationMode()
+        except Exception as error:
+            raise BristleError(
+                f"{self.name} ({self.fmu.path.name}): initialisation refused: {self._why(error)}; check its parameters"
+            ) from None
+
+    def address(self, function: str) -> int:
+        """Return the address of one of its functions."""
+        return ctypes.cast(getattr(self.instance.dll, function), ctypes.c_void_p).value or 0

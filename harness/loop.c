@@ -1,0 +1,156 @@
+/* Jacobi co-simulation over the functions of loaded FMUs: every unit sees the bus as it stood at the start of the step.
+ * harness/loop.py holds the twin of these structures and the same loop through FMPy's calls; the two give the same digits. */
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <string.h>
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+typedef void (*Function)(void);
+typedef int (*Set2)(void *, const unsigned *, size_t, const double *);
+typedef int (*Get2)(void *, const unsigned *, size_t, double *);
+typedef int (*Step2)(void *, double, double, int);
+typedef int (*Set3)(void *, const unsigned *, size_t, const double *, size_t);
+typedef int (*Get3)(void *, const unsigned *, size_t, double *, size_t);
+typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
+
+typedef struct {
+    void *instance;
+    Function set, get, step;
+    int fmi, n_in, n_out;
+    const unsigned *in_vr, *out_vr;
+    double *in, *out;
+} Unit;
+
+typedef struct { const double *from; double *to; } Link;
+typedef struct { long long step; double *to; double value; } Event;
+
+typedef struct {
+    const Unit *units;
+    const Link *links;
+    const Event *events;            /* sorted by step */
+    double *const *series_to;       /* row k of series is put on the bus at step k */
+    const double *series;
+    const double *const *taps;      /* row k of record is the bus at the start of step k */
+    double *record;
+    volatile long long *control;    /* [0] steps done, [1] not 0: stop */
+    long long next_event;
+    long long n_units, n_links, n_events, n_series, n_taps;
+    double h;
+    long long failed_unit, failed_status;
+} Master;
+
+enum { OK = 0, WARNING = 1, ERROR = 3 }; /* of both FMI 2 and FMI 3 */
+
+static int unit_set(const Unit *u)
+{
+    if (u->n_in == 0) return OK;
+    return u->fmi == 3 ? ((Set3)u->set)(u->instance, u->in_vr, (size_t)u->n_in, u->in, (size_t)u->n_in)
+                       : ((Set2)u->set)(u->instance, u->in_vr, (size_t)u->n_in, u->in);
+}
+
+static int unit_get(const Unit *u, double *out)
+{
+    if (u->n_out == 0) return OK;
+    return u->fmi == 3 ? ((Get3)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out, (size_t)u->n_out)
+                       : ((Get2)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out);
+}
+
+static int unit_step(const Unit *u, double time, double h)
+{
+    bool event = false, terminate = false, early = false;
+    double reached = time;
+    if (u->fmi != 3) return ((Step2)u->step)(u->instance, time, h, 1);
+    const int status = ((Step3)u->step)(u->instance, time, h, true, &event, &terminate, &early, &reached);
+    return status > WARNING ? status : (terminate || early) ? ERROR : status;
+}
+
+static void write_row(const Master *m, long long row)
+{
+    double *out = m->record + row * m->n_taps;
+    for (long long i = 0; i < m->n_taps; i++) out[i] = *m->taps[i];
+}
+
+/* Read all outputs and write row 0 of the record. */
+EXPORT int loop_start(Master *m)
+{
+    for (long long i = 0; i < m->n_units; i++) {
+        const int status = unit_get(&m->units[i], m->units[i].out);
+        if (status > WARNING) {
+            m->failed_unit = i;
+            return m->failed_status = status, status;
+        }
+    }
+    write_row(m, 0);
+    return OK;
+}
+
+/* Steps first .. first + count - 1; returns how many were done. */
+EXPORT long long loop_run(Master *m, long long first, long long count)
+{
+    for (long long k = first; k < first + count; k++) {
+        if (m->control[1]) return k - first;
+        for (; m->next_event < m->n_events && m->events[m->next_event].step <= k; m->next_event++)
+            *m->events[m->next_event].to = m->events[m->next_event].value;
+        for (long long i = 0; i < m->n_series; i++) *m->series_to[i] = m->series[k * m->n_series + i];
+        for (long long i = 0; i < m->n_links; i++) *m->links[i].to = *m->links[i].from;
+        for (long long i = 0; i < m->n_units; i++) {
+            const Unit *u = &m->units[i];
+            int status = unit_set(u);
+            if (status <= WARNING) status = unit_step(u, (double)k * m->h, m->h);
+            if (status <= WARNING) status = unit_get(u, u->out);
+            if (status > WARNING) {
+                m->failed_unit = i;
+                m->failed_status = status;
+                return k - first;
+            }
+        }
+        write_row(m, k + 1);
+        m->control[0] = k + 1;
+    }
+    return count;
+}
+
+/* One FMI 2 instance over a recorded input, once for each set of parameters. */
+typedef struct {
+    Function reset, setup, enter, leave;
+} Lifecycle;
+
+static int begin(const Unit *u, const Lifecycle *l, long long n, const unsigned *vr, const double *values)
+{
+    int status = ((int (*)(void *))l->reset)(u->instance);
+    if (status <= WARNING) status = ((Set2)u->set)(u->instance, vr, (size_t)n, values);
+    if (status <= WARNING) status = ((int (*)(void *, int, double, double, int, double))l->setup)(u->instance, 0, 0.0, 0.0, 0, 0.0);
+    if (status <= WARNING) status = ((int (*)(void *))l->enter)(u->instance);
+    if (status <= WARNING) status = ((int (*)(void *))l->leave)(u->instance);
+    return status;
+}
+
+/* series is (steps, n_in), values (sets, n), record (sets, steps + 1, n_out); rows that could not be computed are NaN.
+ * Returns the number of sets that ran to their end. */
+EXPORT long long loop_drive(const Unit *u, const Lifecycle *l, long long steps, double h, const double *series, long long sets,
+                            long long n, const unsigned *vr, const double *values, double *record, volatile long long *control)
+{
+    long long good = 0;
+    for (long long s = 0; s < sets; s++) {
+        double *row = record + s * (steps + 1) * u->n_out;
+        const double *const end = row + (steps + 1) * u->n_out;
+        int status = begin(u, l, n, vr, values + s * n);
+        if (status <= WARNING) status = unit_get(u, row);
+        if (status <= WARNING) row += u->n_out;
+        for (long long k = 0; k < steps && status <= WARNING && !control[1]; k++) {
+            status = ((Set2)u->set)(u->instance, u->in_vr, (size_t)u->n_in, series + k * u->n_in);
+            if (status <= WARNING) status = unit_step(u, (double)k * h, h);
+            if (status <= WARNING) status = unit_get(u, row);
+            if (status <= WARNING) row += u->n_out;
+        }
+        good += row == end;
+        for (; row < end; row++) *row = (double)NAN;
+    }
+    return good;
+}

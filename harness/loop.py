@@ -1,0 +1,420 @@
+"""Co-simulation of FMUs over a bus, step by step, and one FMU over a recorded input.
+
+Timing: all units see the bus as it stood at the start of a step (Jacobi). What a unit publishes at t_k+1 was computed
+from the bus of t_k.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.harness.fmu import Fmu, Slave, Value
+from bristle.model.cache import cached, digest
+from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, find_compiler
+from bristle.model.errors import BristleError
+
+Array = NDArray[np.float64]
+Port = tuple[str, str]  # (unit, variable)
+Progress = Callable[[int], None]
+
+CHUNK = 5_000  # steps between two looks at the keyboard and at the flags
+HUGE = 1e9  # an estimate beyond this has diverged
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One unit on the bus: an FMU and its start values."""
+
+    name: str
+    fmu: Fmu
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Bus:
+    """What is co-simulated.
+
+    `links` lead from outputs to inputs, `events` are (step, input, value) in order of time, `series` holds recorded
+    inputs, a value for each step; `record` names the outputs kept at every step, `flags` what is read only now and
+    then (Booleans, calculated parameters), and `watch` the units whose recorded outputs must stay below `HUGE`.
+    """
+
+    instances: tuple[Instance, ...]
+    steps: int
+    h: float
+    links: tuple[tuple[Port, Port], ...] = ()
+    events: tuple[tuple[int, Port, float], ...] = ()
+    series: Mapping[Port, Array] = field(default_factory=dict)
+    record: tuple[Port, ...] = ()
+    flags: tuple[Port, ...] = ()
+    watch: tuple[str, ...] = ()
+
+    @property
+    def foreign(self) -> bool:
+        """Whether an FMU takes part that somebody else made."""
+        return any(instance.fmu.foreign for instance in self.instances)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run that ended early: which unit, when, why."""
+
+    unit: str
+    time: float
+    message: str
+
+
+@dataclass
+class Trace:
+    """What a run leaves behind: row k of `values` is the bus at t_k; `flags` are (row, values), the first at row 0."""
+
+    record: tuple[Port, ...]
+    values: Array
+    h: float
+    flags: list[tuple[int, dict[Port, float]]]
+    failure: Failure | None = None
+
+    def __getitem__(self, port: Port) -> Array:
+        return self.values[:, self.record.index(port)]
+
+    def __contains__(self, port: Port) -> bool:
+        return port in self.record
+
+    def flag(self, port: Port) -> Array:
+        """Return a flag for each row: what was read next, at that row or after it."""
+        out = np.full(len(self.values), self.flags[-1][1].get(port, np.nan))
+        for row, found in reversed(self.flags):
+            out[: row + 1] = found.get(port, np.nan)
+        return out
+
+    @property
+    def steps(self) -> int:
+        """Steps done."""
+        return len(self.values) - 1
+
+    @property
+    def time(self) -> Array:
+        """Time of each row."""
+        return np.asarray(np.arange(len(self.values)) * self.h)
+
+
+class _Unit(ctypes.Structure):
+    _fields_ = [
+        ("instance", ctypes.c_void_p),
+        ("set", ctypes.c_void_p), ("get", ctypes.c_void_p), ("step", ctypes.c_void_p),
+        ("fmi", ctypes.c_int), ("n_in", ctypes.c_int), ("n_out", ctypes.c_int),
+        ("in_vr", ctypes.c_void_p), ("out_vr", ctypes.c_void_p),
+        ("in_", ctypes.c_void_p), ("out", ctypes.c_void_p),
+    ]  # fmt: skip
+
+
+class _Link(ctypes.Structure):
+    _fields_ = [("from_", ctypes.c_void_p), ("to", ctypes.c_void_p)]
+
+
+class _Event(ctypes.Structure):
+    _fields_ = [("step", ctypes.c_longlong), ("to", ctypes.c_void_p), ("value", ctypes.c_double)]
+
+
+class _Master(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("units", "links", "events", "series_to", "series", "taps", "record", "control")),
+        *((name, ctypes.c_longlong) for name in ("next_event", "n_units", "n_links", "n_events", "n_series", "n_taps")),
+        ("h", ctypes.c_double),
+        ("failed_unit", ctypes.c_longlong), ("failed_status", ctypes.c_longlong),
+    ]  # fmt: skip
+
+
+class _Lifecycle(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_void_p) for name in ("reset", "setup", "enter", "leave")]
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Compile the loop (or take it from the cache) and load it."""
+    text = (files("bristle.harness") / "loop.c").read_text(encoding="utf-8")
+    key = digest(text, *FLAGS, *find_compiler())
+    loaded = ctypes.CDLL(str(cached(f"loop-{key[:24]}{SUFFIX}", lambda out: compile_shared({"loop.c": text}, out))))
+    loaded.loop_run.restype = loaded.loop_drive.restype = ctypes.c_longlong
+    return loaded
+
+
+def native_available() -> bool:
+    """Say whether the compiled loop can be had on this machine."""
+    try:
+        library()
+    except BristleError:
+        return False
+    return True
+
+
+def _pointer(array: NDArray[Any]) -> int:
+    return int(array.ctypes.data)
+
+
+class Node:
+    """A slave with the memory its inputs and outputs live in."""
+
+    def __init__(self, slave: Slave, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        fmu = slave.fmu
+        self.slave, self.inputs, self.outputs = slave, list(inputs), list(outputs)
+        self.in_vr = np.array([fmu.reference(name) for name in inputs], dtype=np.uint32)
+        self.out_vr = np.array([fmu.reference(name) for name in outputs], dtype=np.uint32)
+        self.input = np.array([fmu.start(name) for name in inputs], dtype=float)
+        self.output = np.zeros(len(outputs))
+
+    def structure(self) -> _Unit:
+        """Return what the compiled loop needs to know."""
+        three, address = self.slave.fmu.fmi == 3, self.slave.address
+        names = (
+            [f"fmi3{n}" for n in ("SetFloat64", "GetFloat64", "DoStep")]
+            if three
+            else [f"fmi2{n}" for n in ("SetReal", "GetReal", "DoStep")]
+        )
+        return _Unit(
+            ctypes.cast(self.slave.instance.component, ctypes.c_void_p), *map(address, names), 3 if three else 2,
+            len(self.inputs), len(self.outputs), _pointer(self.in_vr), _pointer(self.out_vr), _pointer(self.input), _pointer(self.output),
+        )  # fmt: skip
+
+    def place(self, name: str) -> tuple[Array, int]:
+        """Return the array and the index at which a variable lives."""
+        if name in self.inputs:
+            return self.input, self.inputs.index(name)
+        return self.output, self.outputs.index(name)
+
+    # -- the same three calls through FMPy ---------------------------------------------------------------------------
+
+    def read(self) -> None:
+        """Read the outputs."""
+        if self.outputs:
+            get = self.slave.instance.getFloat64 if self.slave.fmu.fmi == 3 else self.slave.instance.getReal
+            self.output[:] = get(self.out_vr.tolist())
+
+    def step(self, time: float, h: float) -> None:
+        """Set the inputs, do a step, read the outputs."""
+        instance = self.slave.instance
+        if self.slave.fmu.fmi == 3:
+            if self.inputs:
+                instance.setFloat64(self.in_vr.tolist(), self.input.tolist())
+            _, terminate, early, _ = instance.doStep(time, h)
+            if terminate or early:
+                raise RuntimeError("it asked to end the simulation")
+        else:
+            if self.inputs:
+                instance.setReal(self.in_vr.tolist(), self.input.tolist())
+            instance.doStep(time, h)
+        self.read()
+
+
+class Session:
+    """A bus with its FMUs loaded and initialised; a context manager."""
+
+    def __init__(self, bus: Bus, control: NDArray[np.int64] | None = None) -> None:
+        self.bus, self._stack = bus, ExitStack()
+        self.control = np.zeros(2, dtype=np.int64) if control is None else control
+        try:
+            self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
+        except BaseException:
+            self.close()
+            raise
+        self.values = np.empty((bus.steps + 1, len(bus.record)))
+        self.flags = [(0, self._read_flags())]
+
+    def _node(self, instance: Instance) -> Node:
+        bus, name = self.bus, instance.name
+        slave = self._stack.enter_context(Slave(instance.fmu, name))
+        slave.initialise(instance.values)
+        driven = [*(to for _, to in bus.links), *(to for _, to, _ in bus.events), *bus.series]
+        read = [*(source for source, _ in bus.links), *bus.record]
+        inputs = dict.fromkeys(variable for unit, variable in driven if unit == name)
+        outputs = dict.fromkeys(variable for unit, variable in read if unit == name)
+        return Node(slave, list(inputs), list(outputs))
+
+    def _read_flags(self) -> dict[Port, float]:
+        return {(unit, name): self.nodes[unit].slave.get_value(name) for unit, name in self.bus.flags}
+
+    def _address(self, port: Port) -> int:
+        array, index = self.nodes[port[0]].place(port[1])
+        return _pointer(array) + 8 * index
+
+    def close(self) -> None:
+        """Free all FMUs."""
+        self._stack.close()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- compiled ----------------------------------------------------------------------------------------------------
+
+    def run(self, progress: Progress | None = None) -> Trace:
+        """Run all steps in the compiled loop, in chunks, so that Python can look after the user between them."""
+        bus, lib, names = self.bus, library(), list(self.nodes)
+        units = (_Unit * len(names))(*(node.structure() for node in self.nodes.values()))
+        links = (_Link * len(bus.links))(*(_Link(self._address(a), self._address(b)) for a, b in bus.links))
+        events = (_Event * len(bus.events))(*(_Event(step, self._address(to), value) for step, to, value in bus.events))
+        series = np.ascontiguousarray(np.column_stack(list(bus.series.values())) if bus.series else np.empty((0, 0)))
+        series_to = np.array([self._address(port) for port in bus.series], dtype=np.uintp)
+        taps = np.array([self._address(port) for port in bus.record], dtype=np.uintp)
+        master = _Master(
+            ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
+            _pointer(taps), _pointer(self.values), _pointer(self.control),
+            0, len(units), len(links), len(events), len(series_to), len(taps), bus.h, -1, 0,
+        )  # fmt: skip
+        lib.loop_start(ctypes.byref(master))
+        done = 0
+        while done < bus.steps and master.failed_unit < 0 and not self.control[1]:
+            count = min(CHUNK, bus.steps - done)
+            new = lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
+            early = self._diverged(done + 1, done + new + 1)
+            if early is not None:
+                return self._trace(early.time, early)
+            done += new
+            self._pause(done, progress, master.failed_unit < 0)
+        if master.failed_unit < 0:
+            return self._trace(done * bus.h)
+        unit = names[master.failed_unit]
+        return self._trace(done * bus.h, Failure(unit, done * bus.h, self.nodes[unit].slave.last_message()))
+
+    # -- FMPy's calls ------------------------------------------------------------------------------------------------
+
+    def run_fmpy(self, progress: Progress | None = None) -> Trace:
+        """Do the same through FMPy's own calls: the fallback without a compiler, and the check on the compiled loop."""
+        bus, nodes = self.bus, self.nodes
+        places = {port: nodes[port[0]].place(port[1]) for port in (*bus.record, *(p for link in bus.links for p in link))}
+        events, k = list(bus.events), 0
+        for node in nodes.values():
+            node.read()
+        self._write_row(0, places)
+        while k < bus.steps and not self.control[1]:
+            while events and events[0][0] <= k:
+                _, (unit, name), value = events.pop(0)
+                array, index = nodes[unit].place(name)
+                array[index] = value
+            for (unit, name), values in bus.series.items():
+                array, index = nodes[unit].place(name)
+                array[index] = values[k]
+            for source, to in bus.links:
+                places[to][0][places[to][1]] = places[source][0][places[source][1]]
+            for unit, node in nodes.items():
+                try:
+                    node.step(k * bus.h, bus.h)
+                except Exception as error:  # FMPy raises plain exceptions of several kinds
+                    message = node.slave.last_message()
+                    why = str(error) if message == "no message" else message
+                    return self._trace(k * bus.h, Failure(unit, k * bus.h, why))
+            k += 1
+            self._write_row(k, places)
+            self.control[0] = k
+            if k % CHUNK == 0 or k == bus.steps:
+                early = self._diverged(max(1, k - CHUNK + 1), k + 1)
+                if early is not None:
+                    return self._trace(early.time, early)
+                self._pause(k, progress, True)
+        return self._trace(k * bus.h)
+
+    def _write_row(self, k: int, places: Mapping[Port, tuple[Array, int]]) -> None:
+        for i, port in enumerate(self.bus.record):
+            array, index = places[port]
+            self.values[k, i] = array[index]
+
+    # -- the end -----------------------------------------------------------------------------------------------------
+
+    def _diverged(self, first: int, last: int) -> Failure | None:
+        """Look for an estimate beyond all bounds in rows first .. last - 1."""
+        columns = [i for i, (unit, _) in enumerate(self.bus.record) if unit in self.bus.watch]
+        if not columns or last <= first:
+            return None
+        beyond = np.abs(self.values[first:last, columns]) > HUGE
+        rows = np.flatnonzero(beyond.any(axis=1))
+        if not len(rows):
+            return None
+        unit, name = self.bus.record[columns[int(np.argmax(beyond[rows[0]]))]]
+        return Failure(unit, float((first + rows[0]) * self.bus.h), f"|{name}| is beyond {HUGE:g}")
+
+    def _pause(self, done: int, progress: Progress | None, healthy: bool) -> None:
+        if healthy and self.bus.flags:
+            self.flags.append((done, self._read_flags()))
+        if progress:
+            progress(done)
+
+    def _trace(self, time: float, failure: Failure | None = None) -> Trace:
+        rows = round(time / self.bus.h) + 1
+        return Trace(self.bus.record, self.values[:rows], self.bus.h, self.flags, failure)
+
+
+def simulate(
+    bus: Bus, progress: Progress | None = None, *, engine: str | None = None, control: NDArray[np.int64] | None = None
+) -> Trace:
+    """Run a bus in this process.
+
+    Parameters
+    ----------
+    bus : Bus
+        What to run.
+    progress : callable, optional
+        Called with the number of steps done.
+    engine : str, optional
+        ``native`` for the compiled loop, ``fmpy`` for FMPy's calls; by default compiled if there is a compiler.
+    control : ndarray of int64, shape (2,), optional
+        Shared memory: [0] counts the steps done, [1] not 0 stops the run.
+    """
+    engine = engine or ("native" if native_available() else "fmpy")
+    with Session(bus, control) as session:
+        return session.run(progress) if engine == "native" else session.run_fmpy(progress)
+
+
+class Drive:
+    """One FMI 2 instance of an FMU, run over the same recorded input for many sets of parameters.
+
+    Parameters
+    ----------
+    fmu : Fmu
+        FMI 2, Co-Simulation.
+    inputs, outputs, parameters : sequence of str
+        Names, all Real.
+    """
+
+    def __init__(self, fmu: Fmu, inputs: Sequence[str], outputs: Sequence[str], parameters: Sequence[str]) -> None:
+        self._slave = Slave(fmu, "drive")
+        self._node = Node(self._slave, inputs, outputs)
+        self._slave.initialise({})
+        self._unit = self._node.structure()
+        address = self._slave.address
+        functions = ("fmi2Reset", "fmi2SetupExperiment", "fmi2EnterInitializationMode", "fmi2ExitInitializationMode")
+        self._lifecycle = _Lifecycle(*map(address, functions))
+        self._vr = np.array([fmu.reference(name) for name in parameters], dtype=np.uint32)
+        self.control = np.zeros(2, dtype=np.int64)
+
+    def run(self, series: Array, sets: Array, h: float) -> Array:
+        """Return the outputs, shape (sets, steps + 1, outputs), for input `series` of shape (steps, inputs).
+
+        What could not be simulated is NaN. The interpreter lock is released, so threads share the processors.
+        """
+        series, sets = np.ascontiguousarray(series, dtype=float), np.ascontiguousarray(sets, dtype=float)
+        if series.shape[1] != len(self._node.inputs) or sets.shape[1] != len(self._vr):
+            raise ValueError(f"got {series.shape[1]} inputs and {sets.shape[1]} parameters, "
+                             f"expected {len(self._node.inputs)} and {len(self._vr)}")  # fmt: skip
+        out = np.empty((len(sets), len(series) + 1, len(self._node.outputs)))
+        library().loop_drive(
+            ctypes.byref(self._unit), ctypes.byref(self._lifecycle), ctypes.c_longlong(len(series)), ctypes.c_double(h),
+            ctypes.c_void_p(_pointer(series)), ctypes.c_longlong(len(sets)), ctypes.c_longlong(len(self._vr)),
+            ctypes.c_void_p(_pointer(self._vr)), ctypes.c_void_p(_pointer(sets)), ctypes.c_void_p(_pointer(out)),
+            ctypes.c_void_p(_pointer(self.control)),
+        )  # fmt: skip
+        return out
+
+    def close(self) -> None:
+        """Free the instance."""
+        self._slave.close()

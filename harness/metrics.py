@@ -1,0 +1,161 @@
+"""How far estimates are from the truth, and checks on the numbers; what is not a number never passes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.harness.loop import Port, Trace
+from bristle.harness.scenario import Check
+
+Array = NDArray[np.float64]
+
+BAND = 5.0  # percent; settling is the last time the error exceeds it
+LOADED = ("Fc", "sigma0", "sigma1", "sigma2")  # true values that grow in proportion to the normal load
+LATE = 0.1  # the last part of a run, over which the late state errors are taken
+
+
+def mse_percent(measured: Array, predicted: Array) -> float:
+    """Return 100 var(measured - predicted) / var(measured); not a number if anything in it is not.
+
+    Source: dixit2008 eq. (25)
+    """
+    spread = float(np.var(measured))
+    with np.errstate(all="ignore"):
+        value = 100.0 * float(np.var(measured - predicted)) / spread if spread > 0 else math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+def error_percent(estimate: Array, true: Array | float) -> Array:
+    """Return the signed error in percent of the true value."""
+    with np.errstate(all="ignore"):
+        return np.asarray(100.0 * (estimate - true) / np.abs(true))
+
+
+def settling(time: Array, error: Array, band: float = BAND) -> float:
+    """Return the last time |error| exceeds the band; 0 if it never does, not a number if it still does at the end."""
+    outside = np.flatnonzero(~(np.abs(error) <= band))
+    if not len(outside):
+        return 0.0
+    return float(time[outside[-1]]) if outside[-1] < len(time) - 1 else math.nan
+
+
+def estimate(time: Array, hat: Array, valid: Array, true: Array | None, unit: str) -> dict[str, Any]:
+    """Return the verdict on one parameter.
+
+    `true` belongs to the same rows as `hat`; a sample that is not valid or not finite counts as an error without
+    bound. `moved_percent` tells a live observer from a dead one: the largest excursion from the first value.
+    """
+    sound = valid.astype(bool) & np.isfinite(hat)
+    out: dict[str, Any] = {"unit": unit, "true": None, "final": _last(hat, sound), "valid": bool(sound[-1])}
+    finite = hat[np.isfinite(hat)]
+    moved = float(np.max(np.abs(finite - finite[0]))) if len(finite) else math.nan
+    out |= {"error_percent": None, "settling_s": None, "moved": moved, "moved_percent": None}
+    if true is None or not math.isfinite(true[-1]):
+        return out
+    error = np.where(sound, error_percent(hat, true), np.inf)
+    final = float(error[-1])
+    return out | {
+        "true": float(true[-1]),
+        "error_percent": final if math.isfinite(final) else math.nan,
+        "settling_s": settling(time, error),
+        "moved_percent": 100.0 * moved / abs(float(true[-1])) if true[-1] else math.nan,
+    }
+
+
+def _last(hat: Array, sound: NDArray[np.bool_]) -> float:
+    return float(hat[-1]) if sound[-1] else math.nan
+
+
+def delayed(values: Array) -> Array:
+    """Return what estimates are compared with: row k + 1 of an observer estimates t_k."""
+    return np.concatenate([values[:1], values[:-1]])
+
+
+def true_values(trace: Trace, load: Array | None = None) -> dict[str, Array]:
+    """Return the plant's true normalised parameters at each row, those that its law has, scaled by the normal load."""
+    out = {}
+    found = trace.flags[-1][1]
+    for (unit, name), value in found.items():
+        if unit != "plant" or name.endswith("_valid") or not name.startswith("true."):
+            continue
+        if not found.get((unit, f"{name}_valid"), 0.0) or not math.isfinite(value):
+            continue
+        short = name.removeprefix("true.")
+        scale = load if load is not None and short in LOADED else np.ones(len(trace.values))
+        out[short] = value * scale
+    return out
+
+
+def estimated_parameters(record: Sequence[Port], flags: Mapping[Port, float]) -> list[str]:
+    """Return the parameters for which the observer has P_hat and P_valid."""
+    hats = [name.removesuffix("_hat") for unit, name in record if unit == "observer" and name.endswith("_hat")]
+    return [name for name in hats if ("observer", f"{name}_valid") in flags]
+
+
+def estimates(trace: Trace, true: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Return the verdict on every parameter that the observer claims to estimate at the end, or ever has."""
+    out = {}
+    for name in estimated_parameters(trace.record, trace.flags[-1][1]):
+        hat, valid = trace[("observer", f"{name}_hat")], trace.flag(("observer", f"{name}_valid"))
+        if not valid.any():
+            continue
+        reference = delayed(true[name]) if name in true else None
+        out[name] = estimate(trace.time, hat, valid, reference, units.get(name, "1"))
+    return out
+
+
+def state_errors(trace: Trace, truth: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Return the rms error of the observer's states against the true ones, over the run and over its last tenth."""
+    out = {}
+    for name, values in truth.items():
+        port = ("observer", f"{name}_hat")
+        if port not in trace or not np.isfinite(trace[port][-1]):
+            continue
+        error = (trace[port] - delayed(values))[1:]
+        late = error[-max(1, int(LATE * len(error))) :]
+        rms = {
+            key: float(np.sqrt(np.mean(part**2))) if len(part) else math.nan for key, part in (("rms", error), ("late_rms", late))
+        }
+        spread = float(np.std(values))
+        out[name] = {"unit": units.get(name, "1"), **rms, "late_percent": 100 * rms["late_rms"] / spread if spread else math.nan}
+    return out
+
+
+# -- checks ----------------------------------------------------------------------------------------------------------
+
+
+def look_up(result: Mapping[str, Any], path: str) -> object:
+    """Return the value at a dotted path, None if there is none."""
+    node: object = result
+    for key in path.split("."):
+        if not isinstance(node, Mapping) or key not in node:
+            return None
+        node = node[key]
+    return node
+
+
+def judge(result: Mapping[str, Any], checks: Sequence[Check]) -> list[dict[str, Any]]:
+    """Return one line for every limit of every check."""
+    lines = []
+    for check in checks:
+        value = look_up(result, check.quantity)
+        number = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
+        tests = {
+            "min": number >= (check.min or 0.0),
+            "max": number <= (check.max or 0.0),
+            "max_abs": abs(number) <= (check.max_abs or 0.0),
+        }
+        for kind, passed in tests.items():
+            limit = getattr(check, kind)
+            if limit is not None:
+                name = check.name or check.quantity
+                lines.append({
+                    "name": name, "quantity": check.quantity, "kind": kind, "value": number, "limit": limit,
+                    "pass": bool(passed and math.isfinite(number)),
+                })  # fmt: skip
+    return lines

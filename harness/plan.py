@@ -1,0 +1,256 @@
+"""From a scenario to what is co-simulated: FMUs, start values, connections, stimuli."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from bristle.harness.fmu import Fmu, Value, suggest
+from bristle.harness.loop import Bus, Instance, Port
+from bristle.harness.record import Samples, read_record
+from bristle.harness.scenario import Loaded, Part, Scenario
+from bristle.model.errors import BristleError
+
+Kind = Literal["native", "python"]
+
+# What the bus knows: variable -> SI unit. A part that lacks one of the `NEEDED` cannot take part.
+PORTS = {
+    "plant": {
+        "inputs": {"u": "V", "tau_load": "N.m", "load_scale": "1"},
+        "outputs": {"theta": "rad", "v": "rad/s", "F": "N.m", "theta_enc": "rad", "v_enc": "rad/s"},
+    },
+    "controller": {"inputs": {"y_v": "rad/s"}, "outputs": {"u": "V", "reference": "rad/s"}},
+    "observer": {"inputs": {"u": "V", "y_theta": "rad", "y_v": "rad/s"}, "outputs": {}},
+}
+NEEDED = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
+SENSOR = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}
+SELECTOR = {"plant": "law", "observer": "method"}
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scenario with the FMUs it runs on, every value checked against them."""
+
+    loaded: Loaded
+    fmus: dict[str, Fmu]
+    values: dict[str, dict[str, Value]]
+    samples: Samples | None
+    h: float
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario."""
+        return self.loaded.scenario
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps."""
+        return self.scenario.steps if self.samples is None else len(self.samples) - 1
+
+    @property
+    def sensor(self) -> tuple[str, str]:
+        """The plant outputs that the observer gets: position, velocity."""
+        return SENSOR[self.scenario.sensor]
+
+    def ports(self, unit: str) -> tuple[Port, ...]:
+        """Return what is recorded of a unit at every step."""
+        fmu = self.fmus[unit]
+        known = PORTS[unit]["outputs"]
+        return tuple((unit, name) for name in fmu.names("output") if fmu.is_real(name) and (unit == "observer" or name in known))
+
+
+def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, Fmu]:
+    """Return the FMUs a scenario needs, built where they are ours and not yet there."""
+    from bristle.fmus import obtain
+
+    scenario = loaded.scenario
+    parts: dict[str, Part | None] = {"observer": scenario.observer}
+    if scenario.plant is not None:
+        parts = {"controller": scenario.controller, "plant": scenario.plant, **parts}
+    found = {}
+    for name, part in parts.items():
+        if part is None:
+            continue
+        if part.fmu is None:
+            found[name] = Fmu(obtain(name, fmi=fmi, kind=kind))
+        else:
+            found[name] = _foreign(loaded, name, part.fmu)
+    return found
+
+
+def _foreign(loaded: Loaded, name: str, file: str) -> Fmu:
+    try:
+        fmu = Fmu(loaded.beside(file), foreign=True)
+    except BristleError as error:
+        raise loaded.error(f"{name}.fmu", file, str(error)) from None
+    sides = PORTS[name]
+    for needed in NEEDED[name]:
+        side = "input" if needed in sides["inputs"] else "output"
+        if not fmu.has(needed, side) or not fmu.is_real(needed):
+            have = ", ".join(fmu.names(side)) or "none"
+            raise loaded.error(f"{name}.fmu", file, f"has no Real {side} '{needed}' (its {side}s: {have}); rename it in the FMU")
+    try:
+        for variable, unit in {**sides["inputs"], **sides["outputs"]}.items():
+            if variable in fmu.variables:
+                fmu.check_si(variable, unit)
+    except BristleError as error:
+        raise loaded.error(f"{name}.fmu", file, str(error)) from None
+    return fmu
+
+
+def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
+    """Check a scenario against its FMUs and, where there is one, its record.
+
+    Raises
+    ------
+    BristleError
+        One line with file, key, value and what is allowed.
+    """
+    scenario, samples, h = loaded.scenario, None, loaded.scenario.step
+    if scenario.record is not None:
+        samples = _samples(loaded)
+        h = samples.h
+    parts: dict[str, Part | None] = {"plant": scenario.plant, "controller": scenario.controller, "observer": scenario.observer}
+    values = {name: _values(loaded, name, part, fmus[name], h) for name, part in parts.items() if part is not None and name in fmus}
+    setup = Setup(loaded, fmus, values, samples, h)
+    if samples is None:
+        _check_sensors(setup)
+        _events(setup)
+    return setup
+
+
+def _samples(loaded: Loaded) -> Samples:
+    scenario = loaded.scenario
+    assert scenario.record is not None
+    samples = read_record(loaded.beside(scenario.record.file), scenario.record)
+    if "step" in scenario.model_fields_set and abs(scenario.step - samples.h) > 0.01 * samples.h:
+        raise loaded.error("step", f"{scenario.step:g} s", f"the record is sampled every {samples.h:g} s; leave step out")
+    if scenario.duration is None:
+        return samples
+    count = round(scenario.duration / samples.h) + 1
+    if count > len(samples):
+        longest = (len(samples) - 1) * samples.h
+        raise loaded.error(
+            "duration", f"{scenario.duration:g} s", f"the record ends after {longest:g} s; shorten it or leave it out"
+        )
+    return Samples(samples.h, samples.u[:count], samples.theta[:count], samples.v[:count], samples.measured)
+
+
+def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[str, Value]:
+    """Return the start values of a part: its choice of law or method, the sampling period, the user's parameters."""
+    values: dict[str, Value] = {}
+    selector = SELECTOR.get(name, "")
+    choice = getattr(part, selector, None)
+    if choice is not None:
+        choices = fmu.choices(selector)
+        if choice not in choices:
+            message = f"unknown {selector}{suggest(choice, list(choices))}; choose one of: {', '.join(choices)}"
+            raise loaded.error(f"{name}.{selector}", choice, message)
+        values[selector] = choices[choice]
+    if fmu.has("sample_time", "parameter"):
+        values["sample_time"] = h
+    for key, given in part.parameters.items():
+        try:
+            values[key] = fmu.parameter(key, given)
+        except BristleError as error:
+            raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
+        owner = key.partition(".")[0]
+        if choice is not None and owner != key and owner != choice and owner in fmu.choices(selector):
+            raise loaded.error(f"{name}.parameters.{key}", given, f"belongs to {selector} '{owner}', this is '{choice}'; remove it")
+    return values
+
+
+def _check_sensors(setup: Setup) -> None:
+    plant, scenario = setup.fmus["plant"], setup.scenario
+    for key in ("sensor", "controller_sensor"):
+        choice = getattr(scenario, key)
+        for output in SENSOR[choice]:
+            if not plant.has(output, "output"):
+                raise setup.loaded.error(key, choice, f"the plant has no output '{output}'; write {key} = \"clean\"")
+    if not any(setup.fmus["observer"].has(name, "input") for name in ("y_theta", "y_v")):
+        raise setup.loaded.error("observer.fmu", str(setup.fmus["observer"].path), "has neither input y_theta nor y_v; add one")
+
+
+def _events(setup: Setup) -> tuple[tuple[int, Port, float], ...]:
+    """Return the stimuli as events: a value set at t is on the bus from the first step that starts at t or later."""
+    events = []
+    plant = setup.fmus["plant"]
+    allowed = [name for name in PORTS["plant"]["inputs"] if name != "u" and plant.has(name, "input")]
+    for i, stimulus in enumerate(setup.scenario.stimuli):
+        name = stimulus.variable
+        if name not in allowed:
+            message = f"no free input of the plant{suggest(name, allowed)}; choose one of: {', '.join(allowed) or 'none'}"
+            raise setup.loaded.error(f"stimuli[{i}].variable", name, message)
+        before = -math.inf
+        for j, (when, what) in enumerate(stimulus.points):
+            key = f"stimuli[{i}].points[{j}]"
+            try:
+                time, value = _time(when), plant.physical(name, what)
+            except BristleError as error:
+                raise setup.loaded.error(key, f"{when}, {what}", str(error)) from None
+            if time <= before or time < 0:
+                raise setup.loaded.error(key, when, "times must increase from 0 s; sort the points")
+            before = time
+            events.append((math.ceil(time / setup.h - 1e-6), ("plant", name), value))
+    return tuple(sorted(events))
+
+
+def _time(given: object) -> float:
+    from bristle.model.units import quantity
+
+    if not isinstance(given, (str, int, float)):
+        raise BristleError('not a time; write for example "60 s"')
+    return 0.0 if given in (0, 0.0) and not isinstance(given, bool) else quantity(given, "s")
+
+
+def _instances(setup: Setup, names: tuple[str, ...]) -> tuple[Instance, ...]:
+    return tuple(Instance(name, setup.fmus[name], setup.values[name]) for name in names)
+
+
+def _loop_links(setup: Setup) -> list[tuple[Port, Port]]:
+    speed = SENSOR[setup.scenario.controller_sensor][1]
+    return [(("plant", speed), ("controller", "y_v")), (("controller", "u"), ("plant", "u"))]
+
+
+def _plant_flags(setup: Setup) -> tuple[Port, ...]:
+    return tuple(("plant", name) for name in setup.fmus["plant"].variables if name.startswith("true."))
+
+
+def identification(setup: Setup) -> Bus:
+    """Return the bus on which the observer runs: with plant and controller, or on a record."""
+    observer = setup.fmus["observer"]
+    flags = tuple(("observer", n) for n in observer.names("output") if n.endswith("_valid") and not observer.is_real(n))
+    if setup.samples is not None:
+        samples = setup.samples
+        columns = {"u": samples.u, "y_theta": samples.theta, "y_v": samples.v}
+        return Bus(
+            _instances(setup, ("observer",)), setup.steps, setup.h,
+            series={("observer", name): values[:-1] for name, values in columns.items() if observer.has(name, "input")},
+            record=setup.ports("observer"), flags=flags, watch=("observer",),
+        )  # fmt: skip
+    links = _loop_links(setup)
+    links.append((("controller", "u"), ("observer", "u")))
+    for source, to in zip(setup.sensor, ("y_theta", "y_v"), strict=True):
+        if observer.has(to, "input"):
+            links.append((("plant", source), ("observer", to)))
+    return Bus(
+        _instances(setup, ("controller", "plant", "observer")), setup.steps, setup.h,
+        links=tuple(links), events=_events(setup),
+        record=setup.ports("controller") + setup.ports("plant") + setup.ports("observer"),
+        flags=_plant_flags(setup) + flags, watch=("observer",),
+    )  # fmt: skip
+
+
+def validation(setup: Setup) -> Bus:
+    """Return the bus of the second record: the same plant and controller, another seed, from rest, the last loads held."""
+    demand = setup.scenario.validation
+    assert demand is not None
+    if not setup.fmus["controller"].has("seed", "parameter"):
+        raise setup.loaded.error("validation.seed", demand.seed, "the controller FMU has no parameter 'seed'; remove [validation]")
+    last = {port: (0, port, value) for _, port, value in _events(setup)}
+    controller = Instance("controller", setup.fmus["controller"], {**setup.values["controller"], "seed": demand.seed})
+    return Bus(
+        (controller, *_instances(setup, ("plant",))), round(demand.duration / setup.h), setup.h,
+        links=tuple(_loop_links(setup)), events=tuple(last.values()), record=setup.ports("controller") + setup.ports("plant"),
+    )  # fmt: skip

@@ -1,0 +1,193 @@
+"""report.html: one self-contained file that an engineer reads from top to bottom."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
+         "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ"}  # fmt: skip
+CAPTIONS = {
+    "estimates": ("Estimates against truth", "Blue: estimate. Dashed: true value, with its ±5 % band. "
+                  "Dotted green: the last time the error leaves the band. Above each: final error, that time. First excursions are cut off."),
+    "signals": ("Signals", "The last ten seconds of the run."),
+    "friction": ("Friction curve", "Friction over inertia against velocity, viscous part included, late in the run."),
+    "validation": ("Validation on a second record", "Open loop from rest: the models get the voltage only. Left: the last ten "
+                   "seconds and the errors of all models. Right: eq. (25), 100 var(error)/var(velocity)."),
+}  # fmt: skip
+
+
+def number(value: object, digits: int = 4) -> str:
+    """Write a number for people; a dash where there is none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return "–"
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+    mantissa, exponent = f"{value:.{max(0, digits - 2)}e}".split("e")
+    return f"{mantissa}·10<sup>{int(exponent)}</sup>"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
+    """Return an HTML table; columns in `numeric` are set right."""
+
+    def cell(tag: str, index: int, text: str) -> str:
+        return f'<{tag} class="n">{text}</{tag}>' if index in numeric else f"<{tag}>{text}</{tag}>"
+
+    body = "".join("<tr>" + "".join(cell("td", i, text) for i, text in enumerate(row)) + "</tr>" for row in rows)
+    return (
+        "<table><thead><tr>"
+        + "".join(cell("th", i, text) for i, text in enumerate(head))
+        + f"</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _finite(value: object) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) and value > 0 else None
+
+
+def _badge(good: bool, text: str) -> str:
+    return f'<span class="badge {"good" if good else "bad"}">{escape(text)}</span>'
+
+
+def _checks(result: Mapping[str, Any]) -> str:
+    signs = {"min": "≥", "max": "≤", "max_abs": "|·| ≤"}
+    rows = []
+    for check in result["checks"]:
+        name = escape(check["name"])
+        if check["name"] != check["quantity"]:
+            name += f'<div class="sub">{escape(check["quantity"])}</div>'
+        verdict = _badge(check["pass"], "pass" if check["pass"] else "fail")
+        rows.append((name, number(check["value"]), f"{signs[check['kind']]} {number(check['limit'])}", verdict))
+    return table(("check", "value", "limit", ""), rows, (1, 2))
+
+
+def _estimates(result: Mapping[str, Any]) -> str:
+    rows = []
+    for name, e in result["estimates"].items():
+        final = number(e["final"]) if e["valid"] else "not valid"
+        settled = (
+            "–"
+            if e["error_percent"] is None
+            else number(e["settling_s"], 3)
+            if e["settling_s"] is not None and math.isfinite(e["settling_s"])
+            else "never"
+        )
+        rows.append((f"<i>{GREEK.get(name, escape(name))}</i>", escape(e["unit"]), number(e["true"]), final,
+                     number(e["error_percent"], 3), settled, number(e["moved_percent"], 3)))  # fmt: skip
+    if not rows:
+        return "<p>The observer gave no valid estimate.</p>"
+    return table(("parameter", "unit", "true", "final", "error, %", "settled after, s", "moved, %"), rows, (2, 3, 4, 5, 6))
+
+
+def _states(result: Mapping[str, Any]) -> str:
+    states = result.get("states") or {}
+    if not states:
+        return ""
+    rows = [(f"<i>{escape(n)}</i>", escape(s["unit"]), number(s["rms"], 3), number(s["late_rms"], 3), number(s["late_percent"], 3))
+            for n, s in states.items()]  # fmt: skip
+    return "<h2>State estimates</h2>" + table(
+        ("state", "unit", "rms error", "in the last tenth", "% of its spread"), rows, (2, 3, 4)
+    )
+
+
+def _validation(result: Mapping[str, Any]) -> str:
+    found = result.get("validation")
+    if not found:
+        return ""
+    model, facts = found["model"], []
+    if model["problem"]:
+        facts.append(f"The observer's model could not be simulated: {escape(model['problem'])}.")
+    elif model["law"]:
+        facts.append(
+            f"The estimates make a <b>{escape(model['law'])}</b> model with {number(found['mse_percent'], 3)} % of the variance left."
+        )
+    for key, text in (("coulomb", "the fitted viscous + Coulomb model"), ("linear", "the fitted viscous model")):
+        ratio = _finite(found.get(f"mse_over_{key}"))
+        if ratio is not None:
+            better = ratio <= 1
+            facts.append(f"It is {number(1 / ratio if better else ratio, 3)} times {'better' if better else 'worse'} than {text}.")
+    floor = _finite(found.get("mse_over_floor"))
+    if floor is not None and found["floor_mse_percent"] > 1e-6:  # below, the floor is only digits
+        facts.append(f"Its error is {number(floor, 3)} times the floor.")
+    stuck = [f"{n} of the {k} fit" for k, f in found.get("fits", {}).items() for n in f["at_bound"]]
+    if stuck:
+        facts.append(f"At a bound: {escape(', '.join(stuck))}.")
+    return f"<p>{' '.join(facts)}</p>"
+
+
+def _figures(result: Mapping[str, Any], figures: Mapping[str, str]) -> str:
+    parts = []
+    for name, svg in figures.items():
+        title, caption = CAPTIONS[name]
+        extra = _validation(result) if name == "validation" else ""
+        # an image of its own, so that the figures' element ids cannot meet
+        data = base64.b64encode(svg.encode()).decode()
+        image = f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{data}">'
+        parts.append(f"<h2>{escape(title)}</h2>{extra}<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
+    return "".join(parts)
+
+
+def _times(result: Mapping[str, Any]) -> str:
+    timing = result["timing"]
+    total = sum(timing.values()) or 1.0
+    rows = [
+        (escape(name), f"{seconds:.2f}", f'<div class="bar" style="width:{160 * seconds / total:.0f}px"></div>')
+        for name, seconds in timing.items()
+    ]
+    return table(("stage", "s", ""), [*rows, ("<b>total</b>", f"<b>{total:.2f}</b>", "")], (1,))
+
+
+def _fmus(result: Mapping[str, Any]) -> str:
+    rows = [
+        (escape(n), escape(f["file"]), f["fmi"], f["kind"], f'<code class="sub">{f["sha256"]}</code>')
+        for n, f in result["fmus"].items()
+    ]
+    return table(("unit", "file", "FMI", "kind", "sha256"), rows)
+
+
+def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping[str, str], source: str) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    result : mapping
+        The content of result.json.
+    figures : mapping of str to str
+        SVG text by name.
+    about : mapping of str to str
+        title, shows, source and limits of the scenario.
+    source : str
+        Text of the scenario file.
+    """
+    style = (files("bristle.harness") / "report.css").read_text(encoding="utf-8")
+    passed = result["verdict"] == "pass"
+    notes = "".join(f'<p class="alarm">{escape(note)}</p>' for note in result.get("notes", []))
+    about_rows = "".join(f"<dt>{key}</dt><dd>{escape(about[key])}</dd>" for key in ("source", "limits") if about.get(key))
+    overrides = result.get("overrides") or []
+    changed = f"<p>Overridden on the command line: <code>{escape('  '.join(overrides))}</code></p>" if overrides else ""
+    title = about.get("title") or result["scenario"]
+    simulated = f"{result['duration_s']:g} s simulated in {result['steps']:,} steps, {result['wall_s']:.1f} s of work".replace(
+        ",", " "
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{escape(result["scenario"])}: {result["verdict"]}</title><style>{style}</style></head>
+<body><main>
+<header><p class="name">{escape(result["scenario"])}</p>
+<h1>{escape(title)} {_badge(passed, result["verdict"])}</h1>
+<p class="lead">{escape(about.get("shows", ""))}</p><p class="sub">{simulated}</p></header>
+{notes}
+<h2>Verdict</h2>{_checks(result)}
+<h2>Estimates</h2>{_estimates(result)}
+{_states(result)}
+{_figures(result, figures)}
+<h2>About this scenario</h2><dl>{about_rows}</dl>{changed}
+<details><summary>The scenario file</summary><pre>{escape(source)}</pre></details>
+<h2>Where the time went</h2>{_times(result)}
+<h2>FMUs</h2>{_fmus(result)}
+</main></body></html>
+"""

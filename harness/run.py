@@ -1,0 +1,233 @@
+"""A scenario from file to result folder."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.harness import metrics, results
+from bristle.harness.isolate import simulate_isolated
+from bristle.harness.loop import Bus, Trace, simulate
+from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
+from bristle.harness.plan import validation as validation_bus
+from bristle.harness.scenario import load
+from bristle.harness.validation import Validation, identification_data, identified_model, lean_fmus, told, validate
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
+
+LATE_FRICTION = 0.25  # the part of the run that the friction curve shows
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run a scenario."""
+
+    fmi: int = 2
+    kind: Kind = "native"
+    overrides: Sequence[str] = ()
+    seed: int | None = None
+    full: bool = False
+
+
+@dataclass
+class Run:
+    """A finished scenario."""
+
+    result: dict[str, Any]
+    folder: Path
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is pass."""
+        return bool(self.result["verdict"] == "pass")
+
+
+@dataclass
+class _Clock:
+    """Where the time goes."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+
+def run(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Run:
+    """Run a scenario and write its result folder `out/<scenario>`.
+
+    Raises
+    ------
+    BristleError
+        One line; nothing is written then, and what was there stays.
+    """
+    options, clock = options or Options(), _Clock()
+    tell = progress or (lambda stage, done, total: None)
+    loaded = load(path, options.overrides, options.seed)
+    results.check_writable(out)
+    with clock.stage("FMUs (built only if new)"):
+        tell("building FMUs", 0, 0)
+        setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))
+        identification_bus = identification(setup)
+    with clock.stage("co-simulation"):
+        trace = _simulate(identification_bus, lambda done: tell("co-simulation", done, setup.steps))
+    with clock.stage("metrics"):
+        view = _View(setup, trace)
+        result = _measure(setup, trace, view)
+    validated = None
+    if setup.scenario.validation is not None and trace.failure is None:
+        with clock.stage("validation: second record and fits"):
+            tell("validation and fits", 0, 0)
+            validated = _validate(setup, result, view)
+            result["validation"] = validated.as_dict(setup.scenario.validation.seed)
+    _judge(result, setup)
+    with clock.stage("report"):
+        tell("report", 0, 0)
+        files = _files(setup, result, view, validated, clock, options.full)
+    return Run(result, results.write(out, loaded.name, files))
+
+
+def _simulate(bus: Bus, progress: Callable[[int], None] | None = None) -> Trace:
+    return simulate_isolated(bus, progress) if bus.foreign else simulate(bus, progress)
+
+
+class _View:
+    """The signals of a run, whether simulated or recorded, and the truth where it is known."""
+
+    def __init__(self, setup: Setup, trace: Trace) -> None:
+        self.trace, self.time = trace, trace.time
+        rows = len(trace.values)
+        self.signals: dict[str, Array] = {}
+        if setup.samples is not None:
+            s = setup.samples
+            self.signals = {"u": s.u[:rows], "theta": s.theta[:rows], "v": s.v[:rows]}
+            self.sensed = {"theta": s.theta[:rows], "v": s.v[:rows]}
+        else:
+            self.signals = {name: trace[unit, name] for unit, name in trace.record if unit != "observer"}
+            self.signals |= _stimuli(setup, trace)
+            self.sensed = {key: trace["plant", port] for key, port in zip(("theta", "v"), setup.sensor, strict=True)}
+        self.observed = {name: trace[unit, name] for unit, name in trace.record if unit == "observer"}
+        self.true = metrics.true_values(trace, self.signals.get("load_scale")) if setup.samples is None else {}
+        self.units = {name.removesuffix("_hat"): setup.fmus["observer"].unit(name) for name in self.observed}
+        self.friction = self._friction(setup)
+
+    def _friction(self, setup: Setup) -> Array | None:
+        """Return F/J of the plant, where the plant has both."""
+        if setup.samples is not None or "F" not in self.signals or not setup.fmus["plant"].has("J", "parameter"):
+            return None
+        inertia = float(setup.values["plant"].get("J", setup.fmus["plant"].start("J")))
+        return self.signals["F"] / inertia
+
+    def states(self) -> dict[str, Array]:
+        """Return the true states that an observer may estimate."""
+        if not self.true:
+            return {}
+        found = {"v": self.signals["v"]}
+        if self.friction is not None and "alpha2" in self.true:
+            found["w"] = self.friction - self.true["alpha2"] * self.signals["v"]
+        return found
+
+
+def _stimuli(setup: Setup, trace: Trace) -> dict[str, Array]:
+    """Return the stimuli as signals: what is on the bus at each row."""
+    found: dict[str, Array] = {}
+    for step, (_, name), value in identification(setup).events:
+        column = found.setdefault(name, np.full(len(trace.values), setup.fmus["plant"].start(name)))
+        column[step:] = value
+    return found
+
+
+def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:
+    """Return result.json without validation, verdict and timing."""
+    fmus = {
+        name: {"file": fmu.path.name, "sha256": fmu.sha256, "fmi": fmu.description.fmiVersion, "kind": fmu.kind}
+        for name, fmu in setup.fmus.items()
+    }
+    result: dict[str, Any] = {
+        "scenario": setup.loaded.name, "verdict": "fail", "steps": trace.steps, "duration_s": trace.steps * trace.h, "step_s": trace.h,
+        "wall_s": 0.0, "overrides": setup.loaded.overrides, "notes": [],
+        "estimates": metrics.estimates(trace, view.true, view.units),
+        "states": metrics.state_errors(trace, view.states(), view.units),
+        "checks": [], "fmus": fmus,
+    }  # fmt: skip
+    if "reference" in view.signals:
+        result["tracking_rms"] = float(np.sqrt(np.mean((view.signals["reference"] - view.signals["v"]) ** 2)))
+    if trace.failure is not None:
+        failure = trace.failure
+        result["diverged"] = {"fmu": failure.unit, "time_s": failure.time, "message": failure.message}
+        result["notes"].append(
+            f"The run ended at {failure.time:g} s of {setup.steps * setup.h:g} s: {failure.unit}: {failure.message}."
+        )
+    return result
+
+
+def _validate(setup: Setup, result: Mapping[str, Any], view: _View) -> Validation:
+    second = _simulate(validation_bus(setup))
+    fmus = lean_fmus()
+    if second.failure is not None:
+        from bristle.model.errors import BristleError
+
+        failure = second.failure
+        raise BristleError(
+            f"{setup.loaded.path}: validation run: {failure.unit} failed at {failure.time:g} s: {failure.message}; change validation.seed"
+        )
+    identified = identified_model(result["estimates"], told(setup, setup.values["observer"]), fmus)
+    demand = setup.scenario.validation
+    assert demand is not None
+    data = identification_data(setup, view.signals["u"], view.sensed["theta"], view.sensed["v"])
+    return validate(data, second.time, second["plant", "v"], second["controller", "u"], identified, fmus, demand.baselines)
+
+
+def _judge(result: dict[str, Any], setup: Setup) -> None:
+    result["checks"] = metrics.judge(result, setup.scenario.checks)
+    passed = all(check["pass"] for check in result["checks"]) and "diverged" not in result
+    result["verdict"] = "pass" if passed else "fail"
+
+
+def _files(
+    setup: Setup, result: dict[str, Any], view: _View, validated: Validation | None, clock: _Clock, full: bool
+) -> dict[str, str | bytes]:
+    from bristle.harness.figures import draw
+    from bristle.harness.report import render
+
+    begin = time.perf_counter()
+    figures = draw(_pictures(result, view, validated))
+    columns = {"time": view.time, **view.signals, **view.observed}
+    csv = results.to_csv(columns, full)
+    scenario = setup.scenario
+    about = {"title": scenario.title, "shows": scenario.shows, "source": scenario.source, "limits": scenario.limits}
+    clock.seconds["report"] = time.perf_counter() - begin
+    result["timing"] = {name: round(seconds, 4) for name, seconds in clock.seconds.items()}
+    result["wall_s"] = round(math.fsum(clock.seconds.values()), 4)
+    files: dict[str, str | bytes] = {f"{name}.svg": svg for name, svg in figures.items()}
+    page = render(results.plain(result), figures, about, setup.loaded.text)
+    return {"result.json": results.to_json(result), "signals.csv": csv, "report.html": page, **files}
+
+
+def _pictures(result: Mapping[str, Any], view: _View, validated: Validation | None) -> Any:
+    from bristle.harness.figures import Pictures
+
+    late = slice(int((1 - LATE_FRICTION) * len(view.time)), None)
+    pictures = Pictures(view.time, result["estimates"], {n: view.observed[f"{n}_hat"] for n in result["estimates"]}, view.true)
+    pictures.signals = {**view.signals, **({"v_hat": view.observed["v_hat"]} if "v_hat" in view.observed else {})}
+    pictures.validation = validated
+    if view.friction is not None:
+        pictures.friction = (view.signals["v"][late], view.friction[late])
+    if {"v_hat", "F_hat"} <= set(view.observed):
+        v, force = view.observed["v_hat"][late], view.observed["F_hat"][late]
+        if np.isfinite(force).any() and np.isfinite(v).any():
+            pictures.friction_hat = (v, force)
+    return pictures

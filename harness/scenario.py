@@ -1,0 +1,354 @@
+"""Scenario files: the TOML schema, overrides, and every mistake as one line with file, key, value and what to do."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from bristle.harness.fmu import suggest
+from bristle.model.errors import BristleError
+from bristle.model.units import quantity
+
+MAX_STEPS = 5_000_000  # a run keeps every step in memory
+PARTS = ("plant", "controller", "observer")
+
+
+def _seconds(given: object) -> float:
+    if not isinstance(given, (str, int, float)):
+        raise ValueError('not a quantity; write a number with a unit such as "20 s"')
+    value = quantity(given, "s")
+    if value <= 0:
+        raise ValueError("must be longer than 0 s")
+    return value
+
+
+Seconds = Annotated[float, BeforeValidator(_seconds)]
+Given = str | int | float | bool
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A table of the file; unknown keys are mistakes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Part(Section):
+    """An FMU on the bus: built by bristle, or a file of somebody else's."""
+
+    fmu: str | None = None
+    parameters: dict[str, Given] = {}
+
+
+class Plant(Part):
+    """The servo: a friction law of ours, or an FMU with inputs u (tau_load, load_scale) and outputs theta, v."""
+
+    law: str | None = None
+
+
+class Controller(Part):
+    """The reference generator and PI controller: input y_v, outputs u, reference."""
+
+
+class Observer(Part):
+    """The adaptive observer: a method of ours, or an FMU with inputs u, y_theta, y_v and outputs P_hat, P_valid."""
+
+    method: str | None = None
+
+
+class Stimulus(Section):
+    """A plant input held constant between points in time."""
+
+    variable: str
+    points: list[tuple[Given, Given]] = Field(min_length=1)
+
+
+class Column(Section):
+    """A column of a record with its unit; `scale` (such as "1 rad/m") turns it into what the observer reads."""
+
+    column: str
+    unit: str
+    scale: str | None = None
+
+
+class Record(Section):
+    """A measured file in place of plant and controller."""
+
+    file: str
+    time: Column
+    u: Column
+    theta: Column | None = None
+    v: Column | None = None
+
+    @model_validator(mode="after")
+    def _measured(self) -> Record:
+        if self.theta is None and self.v is None:
+            raise ValueError("neither theta nor v is given; name the column of at least one")
+        return self
+
+
+class Validation(Section):
+    """A second run of the same plant and controller, on which open-loop models are compared."""
+
+    seed: int = Field(default=2, ge=1)
+    duration: Seconds = 100.0
+    baselines: bool = True
+
+
+class Check(Section):
+    """A demand on a number of result.json."""
+
+    quantity: str
+    name: str | None = None
+    min: Number | None = None
+    max: Number | None = None
+    max_abs: Number | None = None
+
+    @model_validator(mode="after")
+    def _limited(self) -> Check:
+        if self.min is None and self.max is None and self.max_abs is None:
+            raise ValueError("no limit; give min, max or max_abs")
+        return self
+
+
+class Scenario(Section):
+    """A scenario file, checked as far as it can be without looking at the FMUs."""
+
+    name: str = ""
+    title: str = ""
+    shows: str = ""
+    source: str = ""
+    limits: str = ""
+    duration: Seconds | None = None
+    step: Seconds = 1e-3
+    plant: Plant | None = None
+    controller: Controller = Controller()
+    observer: Observer
+    sensor: Literal["clean", "encoder"] = "clean"
+    controller_sensor: Literal["clean", "encoder"] = "clean"
+    stimuli: list[Stimulus] = []
+    record: Record | None = None
+    validation: Validation | None = None
+    checks: list[Check] = Field(min_length=1)
+
+    @field_validator("checks", mode="before")
+    @classmethod
+    def _some_checks(cls, given: object) -> object:
+        if given == []:
+            raise ValueError("is empty; a verdict needs at least one [[checks]]")
+        return given
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scenario:
+        if (self.plant is None) == (self.record is None):
+            raise ValueError("give either [plant] or [record]" + (", not both" if self.plant else ""))
+        if self.record and (self.stimuli or self.validation or "controller" in self.model_fields_set):
+            raise ValueError("[record] replaces plant and controller; remove [controller], [[stimuli]] and [validation]")
+        if self.plant and self.duration is None:
+            raise ValueError('duration is missing; write for example duration = "20 s"')
+        for key, part, choice in (("plant", self.plant, "law"), ("observer", self.observer, "method")):
+            if part is not None and (part.fmu is None) == (getattr(part, choice) is None):
+                raise ValueError(f"[{key}] needs either {choice} or fmu")
+        for key, duration in (("duration", self.duration), ("validation.duration", self.validation and self.validation.duration)):
+            if duration:
+                _steps(key, duration, self.step)
+        return self
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps."""
+        return round((self.duration or 0.0) / self.step)
+
+
+def _steps(key: str, duration: float, step: float) -> None:
+    count = duration / step
+    if count < 1 or abs(count - round(count)) > 1e-6 * count:
+        raise ValueError(f"{key} = {duration:g} s is not a whole number of steps of {step:g} s; change one of them")
+    if count > MAX_STEPS:
+        raise ValueError(f"{key} = {duration:g} s is {count:.0f} steps; allowed are {MAX_STEPS}: shorten it or lengthen step")
+
+
+# -- reading ---------------------------------------------------------------------------------------------------------
+
+
+class Loaded:
+    """A scenario with where it came from."""
+
+    def __init__(self, path: Path, text: str, scenario: Scenario, overrides: Sequence[str]) -> None:
+        self.path, self.text, self.scenario, self.overrides = path, text, scenario, list(overrides)
+
+    @property
+    def name(self) -> str:
+        """The file's stem."""
+        return self.path.stem
+
+    def beside(self, file: str) -> Path:
+        """Return a path as written in the file, which is relative to the file."""
+        return (self.path.parent / Path(file).expanduser()).resolve()
+
+    def error(self, key: str, value: object, message: str) -> BristleError:
+        """Return the one-line error for a key of this file."""
+        return _error(self.path, key, value, message)
+
+
+def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> Loaded:
+    """Read and check a scenario file.
+
+    Parameters
+    ----------
+    path : Path
+        The TOML file.
+    overrides : sequence of str
+        ``path=value`` as given to --set.
+    seed : int, optional
+        Seed of the controller's reference.
+
+    Raises
+    ------
+    BristleError
+        One line that names file, key, value and what is allowed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        tree = tomllib.loads(text)
+    except OSError as error:
+        raise BristleError(f"{path}: {error.strerror}; check the path of the scenario file") from None
+    except UnicodeDecodeError:
+        raise BristleError(f"{path}: not UTF-8 text; give a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise BristleError(f"{path}: not valid TOML: {error}; mend that place") from None
+    for part in PARTS:
+        _flatten_parameters(tree, part)
+    for override in overrides:
+        _override(tree, override)
+    if seed is not None:
+        if "record" in tree:
+            raise BristleError(f"{path}: --seed {seed}: a [record] has no reference to seed; leave --seed out")
+        tree.setdefault("controller", {}).setdefault("parameters", {})["seed"] = seed
+    try:
+        scenario = Scenario.model_validate(tree)
+    except ValidationError as error:
+        raise _first(path, tree, error) from None
+    if scenario.name and scenario.name != path.stem:
+        raise _error(path, "name", scenario.name, f"must be the file's name '{path.stem}'; rename one of them or leave name out")
+    return Loaded(path, text, scenario, overrides)
+
+
+def _flatten_parameters(tree: dict[str, Any], part: str) -> None:
+    """Let `modified.sigma0 = ...` mean the same with and without quotes."""
+    section = tree.get(part)
+    if not isinstance(section, dict) or not isinstance(section.get("parameters"), dict):
+        return
+    flat: dict[str, Any] = {}
+
+    def walk(prefix: str, node: Mapping[str, Any]) -> None:
+        for key, value in node.items():
+            if isinstance(value, dict):
+                walk(f"{prefix}{key}.", value)
+            else:
+                flat[f"{prefix}{key}"] = value
+
+    walk("", section["parameters"])
+    section["parameters"] = flat
+
+
+def _parse(text: str) -> Any:
+    """Read an override's value as TOML where it is TOML, else as a plain string."""
+    try:
+        return tomllib.loads(f"x = {text}")["x"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    """Apply one ``path=value``; behind ``plant.parameters.`` everything is one structured name."""
+    path, separator, text = override.partition("=")
+    keys = [quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|([^."]+)', path.strip())]
+    if not separator or not keys:
+        raise BristleError(f'--set {override}: not path=value; write for example --set plant.parameters.J="0.002 kg.m2"')
+    if len(keys) > 2 and keys[0] in PARTS and keys[1] == "parameters":
+        keys = [*keys[:2], ".".join(keys[2:])]
+    node: Any = tree
+    for depth, key in enumerate(keys):
+        last = depth == len(keys) - 1
+        if isinstance(node, list):
+            if not key.isdigit() or int(key) >= len(node):
+                raise BristleError(f"--set {override}: '{key}' is no index of a list of {len(node)}; count from 0")
+            if last:
+                node[int(key)] = _parse(text.strip())
+            node = node[int(key)]
+        elif isinstance(node, dict):
+            if last:
+                node[key] = _parse(text.strip())
+            node = node.setdefault(key, {})
+        else:
+            raise BristleError(f"--set {override}: '{'.'.join(keys[:depth])}' is a value, not a table; shorten the path")
+
+
+# -- errors ----------------------------------------------------------------------------------------------------------
+
+
+def _shown(value: object) -> str:
+    text = f'"{value}"' if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _error(path: Path, key: str, value: object, message: str) -> BristleError:
+    where = f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
+    return BristleError(" ".join(f"{where}: {message}".split()))
+
+
+def _dotted(location: Sequence[int | str]) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+
+
+def _model_at(location: Sequence[int | str]) -> type[BaseModel] | None:
+    """Return the section that a location of an error lies in."""
+    model: type[BaseModel] = Scenario
+    for part in location:
+        if isinstance(part, int):
+            continue
+        if part not in model.model_fields:
+            return None
+        found = [t for t in _types(model.model_fields[part].annotation) if isinstance(t, type) and issubclass(t, BaseModel)]
+        if not found:
+            return None
+        model = found[0]
+    return model
+
+
+def _types(annotation: Any) -> list[Any]:
+    inner = get_args(annotation)
+    return [annotation] if not inner else [t for arg in inner for t in _types(arg)]
+
+
+def _first(path: Path, tree: Mapping[str, Any], error: ValidationError) -> BristleError:
+    """Turn what pydantic found first into one line."""
+    found = error.errors()
+    # an unknown key explains a missing one better than the other way round
+    first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+    kind, location, value = first["type"], [p for p in first["loc"] if not str(p).startswith("function-")], first["input"]
+    key, context = _dotted(location), first.get("ctx", {})
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    if kind == "extra_forbidden":
+        model = _model_at(location[:-1])
+        known = list(model.model_fields) if model else []
+        return _error(path, key, value, f"unknown key{suggest(str(location[-1]), known)}; allowed here: {', '.join(known)}{more}")
+    if kind == "missing":
+        return _error(path, key, None, f"missing; add it{more}")
+    if kind == "value_error":
+        return _error(path, key, value if key and not isinstance(value, (dict, Section)) else None, f"{context.get('error')}{more}")
+    if kind == "literal_error":
+        return _error(path, key, value, f"not a choice; choose one of: {str(context.get('expected')).replace(' or ', ', ')}{more}")
+    hint = {
+        "greater_than_equal": f"must be at least {context.get('ge')}",
+        "finite_number": "must be a finite number",
+        "too_short": f"needs at least {context.get('min_length')} entry",
+        "model_type": "must be a table; write it as [section]",
+    }.get(kind, first["msg"].replace("Input should be", "must be"))
+    return _error(path, key, value, f"{hint}; change the value{more}")

@@ -1,0 +1,167 @@
+"""Validation on a second record: the observer's model in open loop, beside fitted baselines and a floor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.harness.fit import Data, Fit, LeanModel, fit
+from bristle.harness.fmu import Fmu, Value
+from bristle.harness.plan import Setup
+
+Array = NDArray[np.float64]
+
+# What each lean model (with J = 1 kg.m2) needs to know: its parameter -> the observer's estimate.
+MODELS = {
+    "modified": {
+        "b": "b", "a2": "alpha2", "modified.sigma0": "sigma0", "modified.sigma1": "sigma1", "modified.sigma2": "sigma2",
+        "modified.c": "c", "modified.tau": "tau",
+    },
+    "coulomb": {"b": "b", "a2": "alpha2", "coulomb.Fc": "Fc"},
+    "viscous": {"b": "b", "a2": "alpha2"},
+}  # fmt: skip
+OPTIONAL = ("tau",)  # taken as 0 where the observer does not estimate it
+BASELINES = {"linear": "viscous", "coulomb": "coulomb", "floor": "modified"}
+
+
+@dataclass
+class Identified:
+    """The lean model that an observer's estimates make, or why they make none."""
+
+    law: str | None
+    parameters: dict[str, float] = field(default_factory=dict)
+    problem: str | None = None
+
+
+@dataclass
+class Validation:
+    """All models on the second record."""
+
+    time: Array
+    measured: Array
+    voltage: Array
+    predictions: dict[str, Array]
+    identified: Identified
+    fits: dict[str, Fit]
+    scores: dict[str, float]
+
+    def as_dict(self, seed: int) -> dict[str, Any]:
+        """Return what goes into result.json."""
+        mse = self.scores.get("model", math.nan)
+        out: dict[str, Any] = {
+            "mse_percent": mse, "seed": seed, "duration_s": float(self.time[-1]), "rms_velocity": float(np.std(self.measured)),
+            "model": {"law": self.identified.law, "parameters": self.identified.parameters, "problem": self.identified.problem},
+        }  # fmt: skip
+        for name in BASELINES:
+            if name in self.scores:
+                out[f"{name}_mse_percent"] = self.scores[name]
+        out |= {f"mse_over_{name}": _ratio(mse, self.scores[name]) for name in BASELINES if name in self.scores}
+        out["fits"] = {
+            name: {
+                "law": f.model,
+                "parameters": f.parameters,
+                "identification_mse_percent": f.mse_percent,
+                "at_bound": f.at_bound,
+                "runs": f.runs,
+            }
+            for name, f in self.fits.items()
+        }
+        return out
+
+
+def _ratio(above: float, below: float) -> float:
+    return above / below if below > 0 else math.nan
+
+
+def identified_model(estimates: Mapping[str, Mapping[str, Any]], known: Mapping[str, float], fmus: Mapping[str, Fmu]) -> Identified:
+    """Choose the richest lean model that the estimates at the end determine.
+
+    `known` are parameters the observer was told instead of estimating them (alpha2, b of a step 2 alone).
+    """
+    have = dict(known) | {name: e["final"] for name, e in estimates.items() if e["valid"] and math.isfinite(e["final"])}
+    for law, names in MODELS.items():
+        missing = [name for name in names.values() if name not in have and name not in OPTIONAL]
+        if missing:
+            continue
+        values = {parameter: have.get(name, 0.0) for parameter, name in names.items()}
+        for parameter, value in values.items():
+            low, high = fmus[law].interval(parameter)
+            if not low <= value <= high:
+                return Identified(
+                    law, values, f"{parameter} = {value:g} is outside [{low:g}, {high:g}]: no such model can be simulated"
+                )
+        return Identified(law, values)
+    return Identified(None, {}, "the estimates at the end do not determine a model (alpha2 and b are needed at least)")
+
+
+def told(setup: Setup, final: Mapping[str, Value]) -> dict[str, float]:
+    """Return the alpha2 and b that the observer's method has as parameters."""
+    observer, method = setup.fmus["observer"], setup.scenario.observer.method
+    out = {}
+    for name in ("alpha2", "b"):
+        parameter = f"{method}.{name}"
+        if observer.has(parameter, "parameter"):
+            out[name] = float(final.get(parameter, observer.start(parameter)))
+    return out
+
+
+def identification_data(setup: Setup, u: Array, theta: Array, v: Array) -> Data:
+    """Return the identification record as the observer had it: velocity, or position through its increments."""
+    increments = setup.samples.measured == ("theta",) if setup.samples else setup.scenario.sensor == "encoder"
+    return Data(u, v, setup.h, increments, v_start=float(v[0]) if setup.samples else 0.0)
+
+
+def lean_fmus() -> dict[str, Fmu]:
+    """Return the lean plant FMUs, native: they are tools here, whatever kind is under test."""
+    from bristle.fmus import obtain
+
+    return {law: Fmu(obtain("plant", law=law)) for law in MODELS}
+
+
+def validate(
+    identification: Data,
+    time: Array,
+    measured: Array,
+    voltage: Array,
+    identified: Identified,
+    fmus: Mapping[str, Fmu],
+    baselines: bool,
+) -> Validation:
+    """Fit the baselines to the identification record and score all models on the second one.
+
+    Parameters
+    ----------
+    identification : Data
+        The record the observer ran on.
+    time, measured, voltage : ndarray
+        The second record: plant velocity and what drove it.
+    identified : Identified
+        The observer's model.
+    fmus : mapping of str to Fmu
+        The lean FMUs by law.
+    baselines : bool
+        Whether to fit baselines and floor.
+    """
+    second = Data(voltage, measured, identification.h)
+    wanted: dict[str, list[str]] = {}
+    for name, law in BASELINES.items():
+        if baselines:
+            wanted.setdefault(law, []).append(name)
+    if identified.law is not None and identified.problem is None:
+        wanted.setdefault(identified.law, []).append("model")
+    result = Validation(time, measured, voltage, {}, identified, {}, {"model": math.nan})
+    for law, names in wanted.items():
+        with LeanModel(law, fmus[law]) as model:
+            for name in names:
+                if name == "model":
+                    parameters = identified.parameters
+                else:
+                    result.fits[name] = fit(model, identification)
+                    parameters = result.fits[name].parameters
+                result.scores[name], result.predictions[name] = model.score(second, parameters)
+    return result

@@ -1,0 +1,126 @@
+"""The house: imports run downwards, packages are typed, and the wheel holds all of it and nothing else."""
+
+import ast
+import importlib
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PACKAGES = PROJECT["tool"]["setuptools"]["packages"]
+FOLDERS = PROJECT["tool"]["setuptools"]["package-dir"]
+ALLOWED = {
+    "model": {"model"},
+    "plant": {"plant", "model"},
+    "observer": {"observer", "model"},
+    "fmus": {"fmus", "plant", "observer", "model"},
+    "harness": {"harness", "fmus", "model"},
+    "cli": {"cli", "harness", "fmus", "plant", "observer", "model"},
+}
+# what of the ground floor the harness may use: it knows FMUs, not equations
+HARNESS_MODEL = {"bristle.model.units", "bristle.model.compiler", "bristle.model.errors", "bristle.model.cache"}
+
+
+def imports(path):
+    """Return the modules of bristle that a file imports, wherever in the file."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found.add(node.module or "")
+            if node.module == "bristle":
+                found |= {f"bristle.{alias.name}" for alias in node.names}
+    return found
+
+
+@pytest.mark.parametrize("room", list(ALLOWED))
+def test_imports_run_downwards(room):
+    files = sorted((ROOT / room).rglob("*.py"))
+    assert files
+    for path in files:
+        for module in imports(path):
+            assert module.split(".")[0] not in ALLOWED, f"{path.relative_to(ROOT)} imports {module}; write bristle.{module}"
+            if module.startswith("bristle."):
+                assert module.split(".")[1] in ALLOWED[room], f"{path.relative_to(ROOT)} imports {module}"
+                if room == "harness" and module.split(".")[1] == "model":
+                    assert module in HARNESS_MODEL, f"{path.relative_to(ROOT)} imports {module}"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_package_is_there_and_typed(package):
+    importlib.import_module(package)
+    folder = ROOT / FOLDERS.get(package, package)
+    assert (folder / "__init__.py").is_file()
+    if package not in ("bristle.scenarios",):  # data only
+        assert (folder / "py.typed").is_file(), f"{package}: add an empty py.typed"
+
+
+def test_no_folder_with_code_is_forgotten():
+    folders = {str(path.parent.relative_to(ROOT)) for room in ALLOWED for path in (ROOT / room).rglob("__init__.py")}
+    assert folders == {FOLDERS[p] for p in PACKAGES} - {"package", "scenarios"}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Build the wheel from a copy, so that nothing is left in the source tree."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    keep = {p.split("/")[0] for p in FOLDERS.values()} | {"pyproject.toml", "README.md", "LICENSE"}
+    source.mkdir()
+    for name in keep:
+        path = ROOT / name
+        if path.is_dir():
+            shutil.copytree(path, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(path, source / name)
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--quiet", "-w", str(folder), str(source)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    [built] = folder.glob("bristle-*.whl")
+    return built
+
+
+def test_the_wheel_holds_every_file_of_every_room(wheel):
+    """Modules, C templates, readmes, style sheets, scenarios: what is in a room's folder is in the wheel."""
+    names = set(zipfile.ZipFile(wheel).namelist())
+    expected = set()
+    for room in [*ALLOWED, "scenarios"]:
+        for path in (ROOT / room).rglob("*"):
+            if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith("."):
+                expected.add(f"bristle/{path.relative_to(ROOT).as_posix()}")
+    assert {"bristle/model/c/core.c", "bristle/model/c/core.h", "bristle/model/c/batch.c"} <= expected
+    assert expected <= names, f"missing in the wheel, list them in pyproject.toml: {sorted(expected - names)}"
+
+
+def test_the_wheel_holds_nothing_else(wheel):
+    tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"bristle"}
+    assert len(tops) == 2
+
+
+def test_every_module_of_the_wheel_imports_from_the_wheel(wheel, tmp_path):
+    """A fresh interpreter that does not know the checkout imports each module out of the unpacked wheel."""
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    modules = [
+        path.relative_to(tmp_path).with_suffix("").as_posix().replace("/", ".").removesuffix(".__init__")
+        for path in (tmp_path / "bristle").rglob("*.py")
+    ]
+    assert len(modules) > 30
+    code = f"""
+import importlib, sys
+sys.meta_path[:] = [f for f in sys.meta_path if "__editable__" not in getattr(f, "__module__", "") + repr(f)]
+sys.path.insert(0, {str(tmp_path)!r})
+for name in {sorted(modules)!r}:
+    module = importlib.import_module(name)
+    assert module.__file__.startswith({str(tmp_path)!r}), module.__file__
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,144 @@
+"""The small parts: units, parameters, programs, linear algebra, compiler, cache."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import expm as scipy_expm
+
+from bristle.model import cache, compiler
+from bristle.model.errors import BristleError
+from bristle.model.linear import Elimination, expm
+from bristle.model.native import Native
+from bristle.model.program import Program
+from bristle.model.system import System
+from bristle.model.units import convert, parse_unit, quantity
+from bristle.model.variables import Parameter, State, Variable
+from bristle.plant.servo import servo_program
+
+
+@pytest.mark.parametrize(
+    ("text", "si", "value"),
+    [
+        ("75 deg/s", "rad/s", 75 * math.pi / 180), ("20 ms", "s", 0.02), ("0.001 kg.m2", "kg.m2", 0.001),
+        ("40 mN.m", "N.m", 0.04), ("2 1/s", "1/s", 2.0), ("3 rev/min", "rad/s", 2 * math.pi * 3 / 60),
+        ("1 V", "kg.m2/s3.A", 1.0), ("5 %", "1", 0.05), ("7", "1", 7.0), (1e-3, "1", 1e-3), ("600 1/s2", "1/s2", 600.0),
+    ],
+)  # fmt: skip
+def test_quantities(text, si, value):
+    assert quantity(text, si) == pytest.approx(value, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("20", "missing unit"), ("20 V", "does not fit"), ("20 foo", "'foo' is not known"), ("x ms", "not a quantity"),
+        ("nan s", "not finite"), (True, "not a quantity"), (None, "not a quantity"), ("", "not a quantity"),
+    ],
+)  # fmt: skip
+def test_bad_quantities_are_refused_in_one_line(text, complaint):
+    with pytest.raises(BristleError, match=complaint) as caught:
+        quantity(text, "s")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("unit", ["deg/s", "ms", "mN.m", "rev/min", "um", "kg.m2"])
+def test_units_convert_back(unit):
+    si = {"deg/s": "rad/s", "ms": "s", "mN.m": "N.m", "rev/min": "rad/s", "um": "m", "kg.m2": "kg.m2"}[unit]
+    assert convert(convert(1.7, unit, si), si, unit) == pytest.approx(1.7, rel=1e-14)
+
+
+def test_dimensions_of_derived_units():
+    assert parse_unit("N.m.s/rad").exponents == (1, 2, -1, 0, -1)
+    assert parse_unit("V").exponents == parse_unit("N.m/A.s").exponents
+
+
+@pytest.mark.parametrize("value", [-1e-3, 11.0, math.nan, math.inf, -math.inf])
+def test_a_parameter_error_names_value_unit_and_range(value):
+    parameter = Parameter("law.k", "k", "N.m", 1.0, 0.0, 10.0, "stiffness of something", "dixit2008 eq. (8)")
+    with pytest.raises(BristleError, match=r"law\.k = .* N\.m is outside \[0, 10\] N\.m; .*stiffness of something"):
+        parameter.check(value)
+    assert parameter.check(10.0) == 10.0
+
+
+def test_a_system_with_a_missing_equation_is_refused():
+    system = System("half")
+    system.state(State("x", "1", "state"))
+    with pytest.raises(BristleError, match="'x' needs both a state and a rate"):
+        Program("Half", [system])
+
+
+def test_a_name_cannot_be_declared_twice():
+    system = System("twice")
+    system.input(Variable("u", "V", "input"))
+    with pytest.raises(BristleError, match="declares 'u' twice"):
+        system.state(State("u", "1", "state"))
+
+
+def test_unknown_parameters_and_variants_are_refused():
+    with pytest.raises(BristleError, match="'Fc' is no parameter of ServoPlant_lugre"):
+        Native(servo_program("lugre"), {"Fc": 1.0})
+    with pytest.raises(BristleError, match="'dahl' is no variant of ServoPlant; known: coulomb"):
+        Native(servo_program(), variant="dahl")
+
+
+def test_the_token_follows_the_interface():
+    assert servo_program("lugre").token == servo_program("lugre").token
+    assert len({servo_program("lugre").token, servo_program("modified").token, servo_program("lugre", encoder=False).token}) == 3
+
+
+def test_elimination_solves_like_numpy():
+    rng = np.random.default_rng(0)
+    matrix, rhs = rng.normal(size=(4, 4)) + 8 * np.eye(4), rng.normal(size=4)
+    a, b = ca.SX.sym("a", 4, 4), ca.SX.sym("b", 4)
+    found = ca.Function("solve", [a, b], [Elimination(a).solve(b)])(matrix, rhs)
+    np.testing.assert_allclose(np.asarray(found).ravel(), np.linalg.solve(matrix, rhs), rtol=1e-13)
+
+
+@pytest.mark.parametrize("norm", [1e-3, 1.0, 50.0, 400.0])
+def test_exponential_like_scipy(norm):
+    matrix = np.random.default_rng(1).normal(size=(3, 3))
+    matrix = matrix / np.linalg.norm(matrix, 2) * norm - norm * np.eye(3)  # stable, as filters are
+    a = ca.SX.sym("a", 3, 3)
+    found = np.asarray(ca.Function("exponential", [a], [expm(a)])(matrix))
+    expected = scipy_expm(matrix)
+    assert np.max(np.abs(found - expected)) <= 1e-11
+
+
+def test_a_failed_build_leaves_nothing_in_the_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path))
+
+    def broken(path):
+        path.write_text("half")
+        raise BristleError("no more")
+
+    with pytest.raises(BristleError, match="no more"):
+        cache.cached("thing", broken)
+    assert list(tmp_path.iterdir()) == []
+    path = cache.cached("thing", lambda p: p.write_text("whole"))
+    assert path.read_text() == "whole"
+    assert cache.cached("thing", broken) == path  # not made again
+
+
+def test_a_compiler_error_is_one_line(tmp_path):
+    with pytest.raises(BristleError, match="failed: .*error") as caught:
+        compiler.compile_shared({"a.c": "int f(void) { return nonsense; }\n"}, tmp_path / "a.so")
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_compiling_twice_gives_the_same_bytes(tmp_path):
+    for name in ("a.so", "b.so"):
+        compiler.compile_shared({"a.c": "double f(double x) { return 2.0 * x; }\n"}, tmp_path / name)
+    assert (tmp_path / "a.so").read_bytes() == (tmp_path / "b.so").read_bytes()
+
+
+def test_a_compiler_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler -O3")
+    compiler.find_compiler.cache_clear()
+    try:
+        with pytest.raises(BristleError, match="no such program"):
+            compiler.find_compiler()
+    finally:
+        compiler.find_compiler.cache_clear()
