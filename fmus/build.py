@@ -58,9 +58,7 @@ def _content(what: str, fmi: int, kind: str, variant: str | None) -> dict[str, b
     return native_files(program, fmi)
 
 
-def build(
-    what: str, out: Path, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None
-) -> Path:
+def build(what: str, out: Path, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None) -> Path:
     """Write the FMU `what` (plant, observer or controller) to the file `out`.
 
     Parameters
@@ -104,9 +102,7 @@ def _key(*arguments: object) -> str:
     return digest(*sources, *(version(name) for name in LIBRARIES), *FLAGS, _compiler(), repr(arguments))
 
 
-def obtain(
-    what: str, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None
-) -> Path:
+def obtain(what: str, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None) -> Path:
     """Return the FMU as a file of the cache, built only if it is not there; arguments as of `build`."""
     variant = _check(what, fmi, kind, law, method)
     key = _key(what, fmi, kind, variant)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from casadi import SX
+
 from bristle.fmus.interface import Exposed, Interface, symbols_in
 from bristle.model.system import System
-from casadi import SX
 
 
 def _union(sets: Iterable[set[str]]) -> set[str]:

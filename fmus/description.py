@@ -27,7 +27,8 @@ def _element(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
 
 def _serialise(root: ET.Element) -> bytes:
     ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"
 
 
 def _units(parent: ET.Element, variables: Sequence[Exposed]) -> None:

@@ -16,7 +16,7 @@ SECTIONS = {
     "States and derivatives": ("local",),
 }
 COLUMNS = ("name", "unit", "start", "interval", "meaning", "source")
-STYLE = "body{font-family:sans-serif;max-width:60em;margin:auto}table{border-collapse:collapse}td,th{padding:.2em .6em;text-align:left}"
+STYLE = "body{font-family:sans-serif;max-width:60em;margin:auto}td,th{padding:.2em .6em;text-align:left}"
 
 
 def _row(x: Exposed) -> list[str]:

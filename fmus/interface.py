@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
+
 from bristle.model.program import Program, Slot, Variant
 from bristle.model.variables import Parameter, State
 

@@ -37,5 +37,5 @@ def write_archive(out: Path, files: Mapping[str, bytes]) -> Path:
             _fill(fresh, files)
             os.replace(fresh, out)
     except OSError as error:
-        raise BristleError(f"cannot write {out}: {error.strerror}; choose a folder that exists, is writable and has space") from None
+        raise BristleError(f"cannot write {out}: {error.strerror}; choose a writable folder with space") from None
     return out

@@ -11,10 +11,11 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from bristle.fmus.build import WHAT, program_of
 from bristle.fmus.interface import Interface
 from bristle.model.native import Native
-from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
@@ -38,8 +39,8 @@ def reference_run(what: str) -> dict[str, Array]:
     program, given = program_of(what), inputs(what)
     names = [x.name for x in Interface(program).of("output")]
     record, _ = Native(program).run(STEP, given, names)
-    columns = {"time": STEP * np.arange(STEPS + 1)}
-    columns |= {name: np.append(values, values[-1]) for name, values in given.items()}
+    columns: dict[str, Array] = {"time": STEP * np.arange(STEPS + 1, dtype=np.float64)}
+    columns |= {name: np.array([*values, values[-1]]) for name, values in given.items()}
     columns |= {name: values for name, values in zip(names, record.T, strict=True) if np.all(np.isfinite(values))}
     return {name: values[::EVERY] for name, values in columns.items()}
 

@@ -13,8 +13,9 @@ import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from bristle.model.runtime import Core, CoreError
 from pythonfmu import Fmi2Slave
+
+from bristle.model.runtime import Core, CoreError
 
 POINT_TOLERANCE = 1e-6  # of a step: how far a communication point may be from where the instance is
 TIME_ROUNDING = 1e-13  # relative: what adding up steps costs

@@ -225,14 +225,14 @@ class _Problem:
         base = self._known[1] if self._known is not None and np.array_equal(self._known[0], x) else self.residual(x)
         return np.asarray(((shifted - base) / direction[:, None]).T)
 
-    def solve(self, evaluations: int) -> tuple[float, Array]:
+    def solve(self, evaluations: int, tolerance: float) -> tuple[float, Array]:
         """Return the lowest cost found and its point."""
         from scipy.optimize import least_squares
 
         with contextlib.suppress(_GoodEnough):
             least_squares(
                 self.residual, self.x0, self.jacobian, bounds=(self.low, self.high), x_scale="jac",
-                max_nfev=evaluations, ftol=1e-5, xtol=1e-5, gtol=1e-12,
+                max_nfev=evaluations, ftol=tolerance, xtol=1e-5, gtol=1e-12,
             )  # fmt: skip
         return self.best
 
@@ -248,8 +248,8 @@ def fit(model: LeanModel, data: Data, candidates: Sequence[Mapping[str, float]] 
     points = [dict(start) for start in (candidates if candidates is not None else starts(model.law, data))]
     head = data.head(FIRST_STAGE)
     if len(head.u) < len(data.u) and len(points) > 1:
-        points = _distinct(sorted((_solve(model, head, start, 15) for start in points), key=lambda found: found[0]))
-    best = min((_solve(model, data, start, 25) for start in points), key=lambda found: found[0])
+        points = _distinct(sorted((_solve(model, head, start, 15, 1e-3) for start in points), key=lambda found: found[0]))
+    best = min((_solve(model, data, start, 25, 1e-4) for start in points), key=lambda found: found[0])
     _, parameters, stuck = best
     return Fit(model.law, parameters, model.score(data, parameters)[0], stuck, model.runs - before)
 
@@ -257,9 +257,9 @@ def fit(model: LeanModel, data: Data, candidates: Sequence[Mapping[str, float]] 
 Solved = tuple[float, dict[str, float], list[str]]
 
 
-def _solve(model: LeanModel, data: Data, start: Mapping[str, float], evaluations: int) -> Solved:
+def _solve(model: LeanModel, data: Data, start: Mapping[str, float], evaluations: int, tolerance: float) -> Solved:
     problem = _Problem(model, data, start)
-    cost, x = problem.solve(evaluations)
+    cost, x = problem.solve(evaluations, tolerance)
     return cost, dict(zip(model.free, problem.values(x).tolist(), strict=True)), problem.stuck(x)
 
 

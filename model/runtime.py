@@ -150,6 +150,12 @@ class Core:
 
     def advance(self, h: float) -> None:
         """Do one communication step of length h with the inputs that are in `v`."""
+        try:
+            self._advance(h)
+        except (ArithmeticError, ValueError):  # Python raises where C goes on with inf or NaN
+            raise CoreError("nonfinite") from None
+
+    def _advance(self, h: float) -> None:
         a = self.variant
         if not (h > 0.0 and math.isfinite(h)):
             raise CoreError("step")

@@ -4,6 +4,7 @@
 
 /* Find the instance or give up; without it there is no logger to say more. */
 #define FIND(s, c) Instance *s = instance_find(c); if (!s) return fmi2Error
+#define WITH(s, c, call) Instance *s = instance_find(c); return s ? STATUS(call) : fmi2Error
 #define STATUS(call) ((fmi2Status)(call))
 
 static void log_message(const Instance *s, const char *message)
@@ -16,8 +17,7 @@ const char *fmi2GetVersion(void) { return "2.0"; }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[])
 {
-    FIND(s, c);
-    return STATUS(set_logging(s, __func__, on, n, categories));
+    WITH(s, c, set_logging(s, __func__, on, n, categories));
 }
 
 /* -- life -------------------------------------------------------------------------------------------------------- */
@@ -46,23 +46,21 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, f
     return STATUS(set_experiment(s, __func__, start, stop_defined, stop));
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) { FIND(s, c); return STATUS(enter_initialisation(s, __func__)); }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { FIND(s, c); return STATUS(leave_initialisation(s, __func__)); }
-fmi2Status fmi2Terminate(fmi2Component c) { FIND(s, c); return STATUS(change_mode(s, __func__, EVENT | CONTINUOUS | STEP, TERMINATED)); }
-fmi2Status fmi2Reset(fmi2Component c) { FIND(s, c); return STATUS(instance_reset(s)); }
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { WITH(s, c, enter_initialisation(s, __func__)); }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { WITH(s, c, leave_initialisation(s, __func__)); }
+fmi2Status fmi2Terminate(fmi2Component c) { WITH(s, c, change_mode(s, __func__, EVENT | CONTINUOUS | STEP, TERMINATED)); }
+fmi2Status fmi2Reset(fmi2Component c) { WITH(s, c, instance_reset(s)); }
 
 /* -- variables --------------------------------------------------------------------------------------------------- */
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[])
 {
-    FIND(s, c);
-    return STATUS(get_reals(s, __func__, vr, n, value));
+    WITH(s, c, get_reals(s, __func__, vr, n, value));
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[])
 {
-    FIND(s, c);
-    return STATUS(set_reals(s, __func__, vr, n, value));
+    WITH(s, c, set_reals(s, __func__, vr, n, value));
 }
 
 static fmi2Status get_ints(fmi2Component c, const char *who, const unsigned vr[], size_t n, int value[], unsigned type)
@@ -125,38 +123,34 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,
                                         const fmi2ValueReference known[], size_t n_known, const fmi2Real seed[], fmi2Real sensitivity[])
 {
-    FIND(s, c);
-    return STATUS(directional_derivative(s, __func__, unknown, n_unknown, known, n_known, seed, sensitivity));
+    WITH(s, c, directional_derivative(s, __func__, unknown, n_unknown, known, n_known, seed, sensitivity));
 }
 
 /* -- states of the whole instance -------------------------------------------------------------------------------- */
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) { FIND(s, c); return STATUS(state_get(s, __func__, state)); }
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) { FIND(s, c); return STATUS(state_set(s, __func__, state)); }
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) { FIND(s, c); return STATUS(state_free(s, __func__, state)); }
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) { WITH(s, c, state_get(s, __func__, state)); }
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) { WITH(s, c, state_set(s, __func__, state)); }
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) { WITH(s, c, state_free(s, __func__, state)); }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
 {
-    FIND(s, c);
-    return STATUS(state_size(s, __func__, state, size));
+    WITH(s, c, state_size(s, __func__, state, size));
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
-    FIND(s, c);
-    return STATUS(state_serialise(s, __func__, state, bytes, size));
+    WITH(s, c, state_serialise(s, __func__, state, bytes, size));
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
-    FIND(s, c);
-    return STATUS(state_deserialise(s, __func__, bytes, size, state));
+    WITH(s, c, state_deserialise(s, __func__, bytes, size, state));
 }
 
 /* -- model exchange ---------------------------------------------------------------------------------------------- */
 
-fmi2Status fmi2EnterEventMode(fmi2Component c) { FIND(s, c); return STATUS(event_mode(s, __func__)); }
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { FIND(s, c); return STATUS(change_mode(s, __func__, EVENT, CONTINUOUS)); }
+fmi2Status fmi2EnterEventMode(fmi2Component c) { WITH(s, c, event_mode(s, __func__)); }
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { WITH(s, c, change_mode(s, __func__, EVENT, CONTINUOUS)); }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
@@ -178,11 +172,11 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean keep, fmi2Bo
     return fmi2OK;
 }
 
-fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { FIND(s, c); return STATUS(set_time(s, __func__, time)); }
-fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) { FIND(s, c); return STATUS(set_states(s, __func__, x, n)); }
-fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { FIND(s, c); return STATUS(get_states(s, __func__, x, n)); }
-fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) { FIND(s, c); return STATUS(get_derivatives(s, __func__, dx, n)); }
-fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { FIND(s, c); return STATUS(get_nominals(s, __func__, x, n)); }
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { WITH(s, c, set_time(s, __func__, time)); }
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) { WITH(s, c, set_states(s, __func__, x, n)); }
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { WITH(s, c, get_states(s, __func__, x, n)); }
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) { WITH(s, c, get_derivatives(s, __func__, dx, n)); }
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { WITH(s, c, get_nominals(s, __func__, x, n)); }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real indicators[], size_t n)
 {
@@ -223,7 +217,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"
 #endif
-#define ABSENT(c, reason) do { FIND(s, c); return STATUS(refuse(s, __func__, reason)); } while (0)
+#define ABSENT(c, reason) do { WITH(s, c, refuse(s, __func__, reason)); } while (0)
 
 fmi2Status fmi2CancelStep(fmi2Component c) { ABSENT(c, "no step is ever pending"); }
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) { ABSENT(c, "no step is ever pending"); }

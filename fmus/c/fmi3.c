@@ -4,6 +4,7 @@
 
 /* Find the instance or give up; without it there is no logger to say more. */
 #define FIND(s, c) Instance *s = instance_find(c); if (!s) return fmi3Error
+#define WITH(s, c, call) Instance *s = instance_find(c); return s ? STATUS(call) : fmi3Error
 #define STATUS(call) ((fmi3Status)(call))
 
 static void log_message(const Instance *s, const char *message)
@@ -15,8 +16,7 @@ const char *fmi3GetVersion(void) { return "3.0"; }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[])
 {
-    FIND(s, c);
-    return STATUS(set_logging(s, __func__, on, n, categories));
+    WITH(s, c, set_logging(s, __func__, on, n, categories));
 }
 
 /* -- life -------------------------------------------------------------------------------------------------------- */
@@ -71,10 +71,10 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_def
     return STATUS(set_experiment(s, __func__, start, stop_defined, stop) ? ERROR : enter_initialisation(s, __func__));
 }
 
-fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { FIND(s, c); return STATUS(leave_initialisation(s, __func__)); }
-fmi3Status fmi3EnterEventMode(fmi3Instance c) { FIND(s, c); return STATUS(event_mode(s, __func__)); }
-fmi3Status fmi3Terminate(fmi3Instance c) { FIND(s, c); return STATUS(change_mode(s, __func__, EVENT | CONTINUOUS | STEP, TERMINATED)); }
-fmi3Status fmi3Reset(fmi3Instance c) { FIND(s, c); return STATUS(instance_reset(s)); }
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { WITH(s, c, leave_initialisation(s, __func__)); }
+fmi3Status fmi3EnterEventMode(fmi3Instance c) { WITH(s, c, event_mode(s, __func__)); }
+fmi3Status fmi3Terminate(fmi3Instance c) { WITH(s, c, change_mode(s, __func__, EVENT | CONTINUOUS | STEP, TERMINATED)); }
+fmi3Status fmi3Reset(fmi3Instance c) { WITH(s, c, instance_reset(s)); }
 
 /* -- variables --------------------------------------------------------------------------------------------------- */
 
@@ -86,14 +86,12 @@ static int count(const Instance *s, const char *who, size_t n, size_t n_values)
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 values[], size_t n_values)
 {
-    FIND(s, c);
-    return STATUS(n != n_values ? count(s, __func__, n, n_values) : get_reals(s, __func__, vr, n, values));
+    WITH(s, c, n != n_values ? count(s, __func__, n, n_values) : get_reals(s, __func__, vr, n, values));
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 values[], size_t n_values)
 {
-    FIND(s, c);
-    return STATUS(n != n_values ? count(s, __func__, n, n_values) : set_reals(s, __func__, vr, n, values));
+    WITH(s, c, n != n_values ? count(s, __func__, n, n_values) : set_reals(s, __func__, vr, n, values));
 }
 
 /* An enumeration is read and set as an Int64. */
@@ -133,31 +131,28 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
 
 /* -- states of the whole instance -------------------------------------------------------------------------------- */
 
-fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) { FIND(s, c); return STATUS(state_get(s, __func__, state)); }
-fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) { FIND(s, c); return STATUS(state_set(s, __func__, state)); }
-fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) { FIND(s, c); return STATUS(state_free(s, __func__, state)); }
+fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) { WITH(s, c, state_get(s, __func__, state)); }
+fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) { WITH(s, c, state_set(s, __func__, state)); }
+fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) { WITH(s, c, state_free(s, __func__, state)); }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size)
 {
-    FIND(s, c);
-    return STATUS(state_size(s, __func__, state, size));
+    WITH(s, c, state_size(s, __func__, state, size));
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
-    FIND(s, c);
-    return STATUS(state_serialise(s, __func__, state, bytes, size));
+    WITH(s, c, state_serialise(s, __func__, state, bytes, size));
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
-    FIND(s, c);
-    return STATUS(state_deserialise(s, __func__, bytes, size, state));
+    WITH(s, c, state_deserialise(s, __func__, bytes, size, state));
 }
 
 /* -- model exchange ---------------------------------------------------------------------------------------------- */
 
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { FIND(s, c); return STATUS(change_mode(s, __func__, EVENT, CONTINUOUS)); }
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { WITH(s, c, change_mode(s, __func__, EVENT, CONTINUOUS)); }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
                                     fmi3Boolean *values, fmi3Boolean *next_defined, fmi3Float64 *next)
@@ -178,12 +173,12 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean keep, fmi3Boo
     return fmi3OK;
 }
 
-fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { FIND(s, c); return STATUS(set_time(s, __func__, time)); }
-fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n) { FIND(s, c); return STATUS(set_states(s, __func__, x, n)); }
-fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { FIND(s, c); return STATUS(get_states(s, __func__, x, n)); }
-fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], size_t n) { FIND(s, c); return STATUS(get_derivatives(s, __func__, dx, n)); }
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { FIND(s, c); return STATUS(get_nominals(s, __func__, x, n)); }
-fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) { FIND(s, c); return STATUS(count_states(s, __func__, n)); }
+fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { WITH(s, c, set_time(s, __func__, time)); }
+fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n) { WITH(s, c, set_states(s, __func__, x, n)); }
+fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { WITH(s, c, get_states(s, __func__, x, n)); }
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], size_t n) { WITH(s, c, get_derivatives(s, __func__, dx, n)); }
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { WITH(s, c, get_nominals(s, __func__, x, n)); }
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) { WITH(s, c, count_states(s, __func__, n)); }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 indicators[], size_t n)
 {
@@ -219,17 +214,15 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 point, fmi3Float64 h, fmi3Bool
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"
 #endif
-#define ABSENT(c, reason) do { FIND(s, c); return STATUS(refuse(s, __func__, reason)); } while (0)
+#define ABSENT(c, reason) do { WITH(s, c, refuse(s, __func__, reason)); } while (0)
 #define NO_SUCH_TYPE(Name, Type) \
     fmi3Status fmi3Get##Name(fmi3Instance c, const fmi3ValueReference vr[], size_t n, Type values[], size_t n_values) \
     { \
-        FIND(s, c); \
-        return STATUS(no_variable(s, __func__, n)); \
+        WITH(s, c, no_variable(s, __func__, n)); \
     } \
     fmi3Status fmi3Set##Name(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const Type values[], size_t n_values) \
     { \
-        FIND(s, c); \
-        return STATUS(no_variable(s, __func__, n)); \
+        WITH(s, c, no_variable(s, __func__, n)); \
     }
 
 NO_SUCH_TYPE(Float32, fmi3Float32)
@@ -244,15 +237,13 @@ NO_SUCH_TYPE(String, fmi3String)
 
 fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n, size_t sizes[], fmi3Binary values[], size_t n_values)
 {
-    FIND(s, c);
-    return STATUS(no_variable(s, __func__, n));
+    WITH(s, c, no_variable(s, __func__, n));
 }
 
 fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const size_t sizes[], const fmi3Binary values[],
                          size_t n_values)
 {
-    FIND(s, c);
-    return STATUS(no_variable(s, __func__, n));
+    WITH(s, c, no_variable(s, __func__, n));
 }
 
 #define CLOCKLESS(c) ABSENT(c, "this FMU has no clocks")

@@ -26,6 +26,11 @@ int refuse(const Instance *s, const char *who, const char *format, ...)
     return ERROR;
 }
 
+static int refuse_array(const Instance *s, const char *who, size_t n)
+{
+    return refuse(s, who, "a NULL array where %lu values are announced", (unsigned long)n);
+}
+
 static const char *mode_name(int mode)
 {
     switch (mode) {
@@ -60,7 +65,7 @@ int check_outputs(const Instance *s, const char *who, int modes, int n, const vo
 
 int set_logging(Instance *s, const char *who, int on, size_t n, const char *const categories[])
 {
-    if (n && !categories) return refuse(s, who, "a NULL pointer where %lu categories are announced", (unsigned long)n);
+    if (n && !categories) return refuse_array(s, who, n);
     for (size_t i = 0; i < n; i++)
         if (!categories[i] || strcmp(categories[i], LOG_CATEGORY)) return refuse(s, who, "the only category is " LOG_CATEGORY);
     s->logging = on;
@@ -197,14 +202,14 @@ static int refuse_value(const Instance *s, const char *who, unsigned vr, double 
 int begin_get(Instance *s, const char *who, const unsigned vr[], size_t n, const void *value)
 {
     if (require_mode(s, who, COMPUTED)) return ERROR;
-    if (n && (!vr || !value)) return refuse(s, who, "a NULL array where %lu values are announced", (unsigned long)n);
+    if (n && (!vr || !value)) return refuse_array(s, who, n);
     return refresh(s, who);
 }
 
 int begin_set(Instance *s, const char *who, const unsigned vr[], size_t n, const void *value)
 {
     if (!s->settable) return require_mode(s, who, 0);
-    if (n && (!vr || !value)) return refuse(s, who, "a NULL array where %lu values are announced", (unsigned long)n);
+    if (n && (!vr || !value)) return refuse_array(s, who, n);
     return OK;
 }
 
@@ -471,7 +476,7 @@ static int require_states(const Instance *s, const char *who, const double x[], 
 {
     if (s->now.kind != MODEL_EXCHANGE) return refuse(s, who, "the instance was made for Co-Simulation");
     if ((int)n != variant_of(s)->n_states) return refuse(s, who, "there are %d continuous states, not %lu", variant_of(s)->n_states, (unsigned long)n);
-    return n && !x ? refuse(s, who, "a NULL array where %lu values are announced", (unsigned long)n) : OK;
+    return n && !x ? refuse_array(s, who, n) : OK;
 }
 
 int count_states(const Instance *s, const char *who, size_t *n)

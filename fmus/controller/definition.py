@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import casadi as ca
+
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Namespace, Parameter, State, Variable
@@ -20,8 +21,8 @@ KP = Parameter("kp", "kp", "V.s/rad", 4.0, 0.0, 1e6, "proportional gain", "astro
 KI = Parameter("ki", "ki", "V/rad", 20.0, 0.0, 1e6, "integral gain", "astrom2008 section 10.1")
 U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage asked for", "dixit2008 section IV-A")
 SEED = Parameter("seed", "seed", "1", 1.0, 1.0, MODULUS - 1.0, "whole number that chooses the reference", "park1988 section 2")
-ORDER = Parameter("order", "order", "1", 1.0, 1.0, 2.0, "low-pass sections that shape the reference, 1 or 2", "dixit2008 section IV-C")
-RMS = Parameter("rms", "rms", "rad/s", math.radians(120.0), 0.0, 1e4, "rms of the reference before clipping", "dixit2008 section IV-C")
+ORDER = Parameter("order", "order", "1", 1.0, 1.0, 2.0, "low-pass sections of the reference, 1 or 2", "dixit2008 section IV-C")
+RMS = Parameter("rms", "rms", "rad/s", math.radians(120.0), 0.0, 1e4, "rms of the reference, not clipped", "dixit2008 section IV-C")
 CLIP = Parameter("clip", "clip", "rad/s", math.radians(300.0), 0.0, 1e4, "largest reference", "dixit2008 section IV-C")
 CUTOFF = Parameter("cutoff", "omega_c", "rad/s", 5.0, 1e-3, 1e3, "cut-off of each section", "dixit2008 section IV-C")
 

@@ -15,7 +15,8 @@ from bristle.plant.servo import servo_program
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("model", "plant", "observer", "fmus", "harness", "cli")
 KEY = re.compile(r"\b([a-z]+(?:19|20)\d\d[a-z]?)\b")
-ENTRIES = re.findall(r"^@(\w+)\{([^,\s]+),\n(.*?)^\}", (ROOT / "references.bib").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+BIBLIOGRAPHY = (ROOT / "references.bib").read_text(encoding="utf-8")
+ENTRIES = re.findall(r"^@(\w+)\{([^,\s]+),\n(.*?)^\}", BIBLIOGRAPHY, re.DOTALL | re.MULTILINE)
 KEYS = [key for _, key, _ in ENTRIES]
 
 
@@ -35,12 +36,14 @@ def files():
 
 
 def docstring_sources():
-    """Return (file, line, text) of each 'Source:' in a docstring."""
+    """Return (file, name, text) of each 'Source:' in a docstring."""
     found = []
+    pattern = re.compile(r"Source:(.*?)(?:\n\s*\n|\Z)", re.DOTALL)
     for path in files():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and (text := ast.get_docstring(node)):
-                found += [(path.relative_to(ROOT), node.name if hasattr(node, "name") else "", m) for m in re.findall(r"Source:(.*?)(?:\n\s*\n|\Z)", text, re.DOTALL)]
+                name = getattr(node, "name", "(file)")
+                found += [(path.relative_to(ROOT), name, source) for source in pattern.findall(text)]
     return found
 
 
@@ -48,7 +51,7 @@ def test_references_are_complete_and_unique():
     assert len(KEYS) >= 20
     assert sorted(KEYS) == KEYS
     assert len(set(KEYS)) == len(KEYS)
-    assert len(KEYS) == (ROOT / "references.bib").read_text(encoding="utf-8").count("\n@") + 1
+    assert len(KEYS) == BIBLIOGRAPHY.count("\n@") + 1
     for _, key, body in ENTRIES:
         fields = dict(re.findall(r"^\s*(\w+)\s*=\s*\{(.*)\},$", body, re.MULTILINE))
         assert {"author", "title", "year"} <= fields.keys(), key

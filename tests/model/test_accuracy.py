@@ -58,7 +58,7 @@ def test_the_reference_agrees_with_radau(reference, name):
 
 
 def end_speeds(reference, closed_loop, name, volts, seconds):
-    n = int(round(seconds * 1000))
+    n = round(seconds * 1000)
     plant = reference.PLANTS[name]
     ours, _ = closed_loop(plant, lambda *_: volts, n)
     explicit = reference.rk4(plant, volts, seconds)

@@ -1,12 +1,16 @@
 """Native C, generated Python and CasADi give the same digits over a whole scenario."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from bristle.model.errors import SimulationError
 from bristle.model.native import Native
+from bristle.model.program import Program
 from bristle.model.python import casadi_tables, python_source, python_tables
 from bristle.model.runtime import Core, CoreError
+from bristle.model.system import System
+from bristle.model.variables import State, Variable
 from bristle.plant.friction import laws
 from bristle.plant.servo import servo_program
 
@@ -105,16 +109,32 @@ def test_the_generated_module_imports_nothing_but_math():
     assert [line for line in text.splitlines() if line.strip().startswith(("import", "from"))] == ["import math"]
 
 
+def test_an_overflow_is_an_error_in_both_languages():
+    """Python raises where C goes on with inf: both end as the same kind of error."""
+    system = System("explosion")
+    x = system.state(State("x", "1", "state", initial=600.0))
+    u = system.input(Variable("u", "1", "input"))
+    system.rate("x", ca.exp(x) + u)
+    system.output(Variable("y", "1", "state"), x)
+    program = Program("Explosion", [system])
+    with pytest.raises(SimulationError, match=r"finite|small"):
+        Native(program).advance(1e-3)
+    core = Core(python_tables(program))
+    core.initialise(0.0)
+    with pytest.raises(CoreError, match=r"finite|small"):
+        core.advance(1e-3)
+
+
 @pytest.mark.parametrize("divergence", [1e308, -1e308])
 def test_divergence_is_an_error_in_both_languages(divergence):
     program = servo_program("viscous", encoder=False)
     native = Native(program, {"tau_load": divergence, "J": 1e-9})
-    with pytest.raises(SimulationError, match="finite|small") as caught:
+    with pytest.raises(SimulationError, match=r"finite|small") as caught:
         native.run(1e-3, {"tau_load": np.full(10, divergence)}, ["v"])
     assert 0.0 <= caught.value.time <= 0.01
     core = Core(python_tables(program))
     core.v[program.index["J"]] = 1e-9
     core.initialise(0.0)
     core.v[program.index["tau_load"]] = divergence
-    with pytest.raises(CoreError, match="finite|small"):
+    with pytest.raises(CoreError, match=r"finite|small"):
         core.advance(1e-3)

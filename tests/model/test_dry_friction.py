@@ -1,6 +1,7 @@
 """The proximal step: exact sticking, exact stops, break-away, first order against event-located solutions."""
 
 import math
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -116,7 +117,7 @@ def test_first_order_against_held_torques_with_located_stops(coulomb):
         found = native.run(period, {"u": volts}, ["v"])[0][:, 0]
         errors.append(np.mean(np.abs(found - expected)))
     assert 0.9 <= order(steps, errors) <= 1.3
-    for coarse, fine in zip(errors, errors[1:], strict=False):
+    for coarse, fine in pairwise(errors):
         assert 0.8 <= math.log2(coarse / fine) <= 1.3
     assert errors[-1] < 1e-3 * np.max(np.abs(expected))
 

@@ -122,7 +122,7 @@ def test_a_failed_build_leaves_nothing_in_the_cache(tmp_path, monkeypatch):
 
 
 def test_a_compiler_error_is_one_line(tmp_path):
-    with pytest.raises(BristleError, match="failed: .*error") as caught:
+    with pytest.raises(BristleError, match=r"failed: .*error") as caught:
         compiler.compile_shared({"a.c": "int f(void) { return nonsense; }\n"}, tmp_path / "a.so")
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []

@@ -20,6 +20,7 @@ UNCONTROLLED = 1e12  # a state of this size makes every error acceptable: the st
 def one_state(name, rate, start=1.0, scale=UNCONTROLLED, parameters=()):
     system = System(name)
     symbols = [system.parameter(p) for p in parameters]
+    system.input(Variable("pace", "1", "only counts the steps"))
     x = system.state(State("x", "1", "state", initial=start, scale=scale))
     system.rate("x", rate(x, system.time, *symbols))
     system.output(Variable("y", "1", "state"), x)
@@ -95,8 +96,7 @@ def test_finite_escape_ends_with_an_error_and_not_with_numbers():
     program = one_state("escape", lambda x, t: x * x, scale=1.0)  # x = 1/(1 - t)
     native = Native(program, {"solver.max_step": 1e-2})
     with pytest.raises(SimulationError) as caught:
-        for _ in range(200):
-            native.advance(1e-2)
+        native.run(1e-2, {"pace": np.zeros(200)}, [])
     assert caught.value.time == pytest.approx(1.0, abs=0.02)
 
 
