@@ -41,7 +41,8 @@ CASES = (
     Case("encoder_rls", "rls", 200.0, STEP1, 1.0, None, encoder=True),
     Case("repaired_two_step, step 1", "two_step", 200.0, STEP1, None, None),
     Case("repaired_two_step, step 2", "two_step", 200.0, STEP2, None, None),
-    Case("position only, n = 3, encoder", "besancon_position", 200.0, STEP2, None, None, encoder=True, known=("alpha2", "b")),
+    Case("position, n = 3, known alpha2, b", "besancon_position", 200.0, STEP2, None, None, encoder=True, known=("alpha2", "b")),
+    Case("encoder_two_step", "two_step_position", 200.0, STEP1 + STEP2, None, None, encoder=True),
 )
 
 

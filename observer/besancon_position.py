@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from bristle.observer import zhang
+from bristle.model.variables import Namespace, Parameter
+from bristle.observer import besancon, zhang
 from bristle.observer.method import Method, Sample, Update, Workshop
 
 SX = ca.SX
@@ -64,20 +65,36 @@ def predict(x: SX, ups: SX, theta: SX, u: SX, h: SX, alpha2: SX, b: SX) -> tuple
     return ahead, f @ ups + m0[:, 1] @ psi0 + m1[:, 1] @ psi1
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def step(shop: Workshop, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
+    """Return the next states of the observer with the given alpha2 and b."""
     p = shop.p
     x, ups, theta, mean = zhang.read(p, 3)
-    x, ups = predict(x, ups, theta, s.u, s.period, p.alpha2, p.b)
+    x, ups = predict(x, ups, theta, s.u, s.period, alpha2, b)
     error = s.y1 - x[0]
     theta_new = zhang.gradient(ups, theta, error, zhang.matrix_gain(p), s.period, low=True)
     gain = innovation_gain(p.lam, s.period)
     ups = ups - gain @ ups[0, :]
     x = x + gain * error + ups @ (theta_new - theta)
-    return Update(
-        zhang.write(x, ups, theta_new, mean, zhang.averaging_weight(p, s.period)),
-        {name: p[f"mean_{name}"] for name in zhang.NAMES},
-        {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + p.alpha2 * p.x1},
-        first={"x0": s.y1},
+    return zhang.write(x, ups, theta_new, mean, zhang.averaging_weight(p, s.period))
+
+
+def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
+    """Return (estimates, signals)."""
+    estimates = {name: p[f"mean_{name}"] for name in zhang.NAMES}
+    return estimates, {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + alpha2 * p.x1}
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    estimates, signals = published(p, p.alpha2)
+    return Update(step(shop, s, p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
+
+
+def parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare gains, starts and averaging under a method's name."""
+    return (
+        *zhang.gain_parameters(prefix, (), LAM, besancon.STARTS),
+        *zhang.matrix_parameters(prefix, gain=GAIN, averaging=AVERAGING),
     )
 
 
@@ -86,11 +103,7 @@ METHOD = Method(
     "Besancon-Zhang-Hammouri observer from position, n = 3, with a matrix gain; alpha2 and b known",
     "besancon2004 eq. (6) with the gain of zhang2002",
     "y_theta",
-    (
-        *zhang.known_parameters("besancon_position"),
-        *zhang.gain_parameters("besancon_position", (), LAM, (300.0, 300.0, 300.0, 100.0)),
-        *zhang.matrix_parameters("besancon_position", gain=GAIN, averaging=AVERAGING),
-    ),
+    (*zhang.known_parameters("besancon_position"), *parameters("besancon_position")),
     zhang.states(3),
     _equations,
 )

@@ -11,9 +11,9 @@ from bristle.observer.method import Method, Sample, Update, Workshop
 SX = ca.SX
 
 
-def start_parameter(prefix: str) -> Parameter:
-    """Declare when step 2 begins."""
-    return Parameter(f"{prefix}.step2_start", "T2", "s", 100.0, 0.0, 1e6, "when step 2 begins", "dixit2008 section IV-E")
+def start_parameter(prefix: str, start: float = 100.0) -> Parameter:
+    """Declare when step 2 begins, in s."""
+    return Parameter(f"{prefix}.step2_start", "T2", "s", start, 0.0, 1e6, "when step 2 begins", "dixit2008 section IV-E")
 
 
 def begun(shop: Workshop, s: Sample) -> SX:
@@ -26,10 +26,10 @@ def when(go: SX, update: dict[str, SX], rest: dict[str, SX]) -> dict[str, SX]:
     return {name: ca.if_else(go, value, rest[name]) for name, value in update.items()}
 
 
-def waiting(shop: Workshop, y: SX) -> dict[str, SX]:
-    """Return what step 2 holds while it waits: its states, with the velocity estimate following the measurement."""
-    x, ups, theta, mean = zhang.read(shop.p, 2)
-    return zhang.write(ca.vertcat(y, x[1]), ups, theta, mean, SX(0))
+def waiting(shop: Workshop, y: SX, order: int = 2) -> dict[str, SX]:
+    """Return what step 2 holds while it waits: its states, with the first one following the measurement."""
+    x, ups, theta, mean = zhang.read(shop.p, order)
+    return zhang.write(ca.vertcat(y, x[1:]), ups, theta, mean, SX(0))
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:
