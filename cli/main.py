@@ -5,9 +5,10 @@ from __future__ import annotations
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,14 +24,18 @@ PASS, FAIL, ERROR = 0, 1, 2
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
-class Kind(str, Enum):
+class Interrupted(BaseException):
+    """Ctrl-C or SIGTERM; not KeyboardInterrupt, which the option parser would turn into an exit code of its own."""
+
+
+class Kind(StrEnum):
     """native: compiled C99; python: for hosts that run in Python."""
 
     native = "native"
     python = "python"
 
 
-class What(str, Enum):
+class What(StrEnum):
     """Which FMU."""
 
     plant = "plant"
@@ -39,7 +44,7 @@ class What(str, Enum):
     all = "all"
 
 
-class Fmi(str, Enum):
+class Fmi(StrEnum):
     """Version of FMI."""
 
     two = "2"
@@ -126,8 +131,8 @@ def run(
                 done = run_scenario(path, out, options, tell)
         except BristleError as error:
             if debug:
-                raise
-            _say(f"bristle: {error}")
+                traceback.print_exc()
+            _say(_explain(error))
             worst = ERROR
         else:
             _report(done, time.perf_counter() - begin)
@@ -183,37 +188,40 @@ def _progress(name: str) -> Iterator[Callable[[str, int, int], None] | None]:
 # -- entry -----------------------------------------------------------------------------------------------------------
 
 
+def _interrupt(number: int, _frame: object) -> None:
+    """Raise once; what comes after that lets the clean-up finish."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    raise Interrupted(number)
+
+
 def main() -> None:
     """Run the command line; every mistake of the user ends as one line and exit code 2."""
     debug = "--debug" in sys.argv
-    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))  # so that it too cleans up
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         code = app(standalone_mode=False)
-    except KeyboardInterrupt:
-        _say("bristle: interrupted")
-        raise SystemExit(ERROR) from None
-    except BristleError as error:
+    except (Exception, Interrupted) as error:
         if debug:
-            raise
-        _say(f"bristle: {error}")
+            traceback.print_exc()
+        _say(_explain(error))
         raise SystemExit(ERROR) from None
-    except Exception as error:
-        if debug:
-            raise
-        raise SystemExit(_unexpected(error)) from None
     raise SystemExit(code if isinstance(code, int) else PASS)
 
 
-def _unexpected(error: Exception) -> int:
-    """Say in one line what went wrong outside our own checks, wrong options included."""
-    usage = getattr(error, "format_message", None)  # click's own errors have it
+def _explain(error: BaseException) -> str:
+    """Say in one line what went wrong; wrong options are the option parser's own errors."""
+    usage = getattr(error, "format_message", None)
+    if isinstance(error, Interrupted):
+        return "bristle: interrupted"
+    if isinstance(error, BristleError):
+        return f"bristle: {error}"
+    if type(error).__name__ == "NoArgsIsHelpError":
+        return "bristle: no command; choose one of list, build, run, or see bristle --help"
     if usage is not None:
-        _say(f"bristle: {usage()}; see bristle --help")
-    elif type(error).__name__ in ("Abort",):
-        _say("bristle: interrupted")
-    else:
-        _say(f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback")
-    return ERROR
+        return f"bristle: {usage()}; see bristle --help"
+    return f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback"
 
 
 if __name__ == "__main__":

@@ -147,8 +147,10 @@ class Fmu:
         """Return the start value of a numeric variable."""
         return float(self.variables[name].start)
 
-    def parameter(self, name: str, given: object) -> Value:
+    def parameter(self, name: str, given: object, known: Sequence[str] = ()) -> Value:
         """Check a parameter's value as a user writes it and return it in the FMU's unit.
+
+        `known` are the names to tell the user of, where not all of them are his business.
 
         Raises
         ------
@@ -156,7 +158,7 @@ class Fmu:
             If the parameter is unknown or the value does not fit; the message does not say where it was written.
         """
         if not self.has(name, "parameter"):
-            known = self.names("parameter")
+            known = known or self.names("parameter")
             raise BristleError(f"no such parameter{suggest(name, known)}; known: {', '.join(known)}")
         kind = self.variables[name].type
         if kind in _ENUMERATION:

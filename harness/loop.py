@@ -175,15 +175,10 @@ class Node:
     def structure(self) -> _Unit:
         """Return what the compiled loop needs to know."""
         three, address = self.slave.fmu.fmi == 3, self.slave.address
-        names = (
-            [f"fmi3{n}" for n in ("SetFloat64", "GetFloat64", "DoStep")]
-            if three
-            else [f"fmi2{n}" for n in ("SetReal", "GetReal", "DoStep")]
-        )
-        return _Unit(
-            ctypes.cast(self.slave.instance.component, ctypes.c_void_p), *map(address, names), 3 if three else 2,
-            len(self.inputs), len(self.outputs), _pointer(self.in_vr), _pointer(self.out_vr), _pointer(self.input), _pointer(self.output),
-        )  # fmt: skip
+        names = ("fmi3SetFloat64", "fmi3GetFloat64", "fmi3DoStep") if three else ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
+        arrays = map(_pointer, (self.in_vr, self.out_vr, self.input, self.output))
+        component = ctypes.cast(self.slave.instance.component, ctypes.c_void_p)
+        return _Unit(component, *map(address, names), 3 if three else 2, len(self.inputs), len(self.outputs), *arrays)
 
     def place(self, name: str) -> tuple[Array, int]:
         """Return the array and the index at which a variable lives."""

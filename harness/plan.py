@@ -150,13 +150,15 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[s
         values[selector] = choices[choice]
     if fmu.has("sample_time", "parameter"):
         values["sample_time"] = h
+    others = set(fmu.choices(selector)) - {choice} if choice is not None else set()
+    own = [parameter for parameter in fmu.names("parameter") if parameter != selector and parameter.partition(".")[0] not in others]
     for key, given in part.parameters.items():
         try:
-            values[key] = fmu.parameter(key, given)
+            values[key] = fmu.parameter(key, given, own)
         except BristleError as error:
             raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
         owner = key.partition(".")[0]
-        if choice is not None and owner != key and owner != choice and owner in fmu.choices(selector):
+        if owner != key and owner in others:
             raise loaded.error(f"{name}.parameters.{key}", given, f"belongs to {selector} '{owner}', this is '{choice}'; remove it")
     return values
 

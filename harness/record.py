@@ -141,8 +141,8 @@ def _period(path: Path, time: Array) -> float:
     worst = int(np.argmax(np.abs(steps - h)))
     if abs(steps[worst] - h) > UNIFORM * h:
         raise BristleError(
-            f"record {path}: time is not uniform: {steps[worst]:g} s after sample {worst}, mean {h:g} s, allowed {UNIFORM:.0%} off; "
-            f"resample it first"
+            f"record {path}: time is not uniform: {steps[worst]:g} s after sample {worst}, mean {h:g} s, "
+            f"allowed {UNIFORM:.0%} off; resample it first"
         )
     return h
 

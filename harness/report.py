@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -13,7 +14,8 @@ GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": 
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ"}  # fmt: skip
 CAPTIONS = {
     "estimates": ("Estimates against truth", "Blue: estimate. Dashed: true value, with its ±5 % band. "
-                  "Dotted green: the last time the error leaves the band. Above each: final error, that time. First excursions are cut off."),
+                  "Dotted green: the last time the error leaves the band. Above each: final error and that time. "
+                  "First excursions are cut off."),
     "signals": ("Signals", "The last ten seconds of the run."),
     "friction": ("Friction curve", "Friction over inertia against velocity, viscous part included, late in the run."),
     "validation": ("Validation on a second record", "Open loop from rest: the models get the voltage only. Left: the last ten "
@@ -26,9 +28,16 @@ def number(value: object, digits: int = 4) -> str:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–"
     if value == 0 or 1e-3 <= abs(value) < 1e6:
-        return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
-    mantissa, exponent = f"{value:.{max(0, digits - 2)}e}".split("e")
-    return f"{mantissa}·10<sup>{int(exponent)}</sup>"
+        text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+    else:
+        mantissa, exponent = f"{value:.{max(0, digits - 2)}e}".split("e")
+        text = f"{mantissa}·10<sup>{int(exponent)}</sup>"
+    return text.replace("-", "−")
+
+
+def unit(text: str) -> str:
+    """Write a unit for people: rad/s2 -> rad/s²."""
+    return "" if text == "1" else re.sub(r"(?<=[a-z])2", "²", escape(text)).replace(".", "·")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
@@ -68,7 +77,7 @@ def _checks(result: Mapping[str, Any]) -> str:
 def _estimates(result: Mapping[str, Any]) -> str:
     rows = []
     for name, e in result["estimates"].items():
-        final = number(e["final"]) if e["valid"] else "not valid"
+        final = number(e["final"], 5) if e["valid"] else "not valid"
         settled = (
             "–"
             if e["error_percent"] is None
@@ -76,7 +85,7 @@ def _estimates(result: Mapping[str, Any]) -> str:
             if e["settling_s"] is not None and math.isfinite(e["settling_s"])
             else "never"
         )
-        rows.append((f"<i>{GREEK.get(name, escape(name))}</i>", escape(e["unit"]), number(e["true"]), final,
+        rows.append((f"<i>{GREEK.get(name, escape(name))}</i>", unit(e["unit"]), number(e["true"]), final,
                      number(e["error_percent"], 3), settled, number(e["moved_percent"], 3)))  # fmt: skip
     if not rows:
         return "<p>The observer gave no valid estimate.</p>"
@@ -87,7 +96,7 @@ def _states(result: Mapping[str, Any]) -> str:
     states = result.get("states") or {}
     if not states:
         return ""
-    rows = [(f"<i>{escape(n)}</i>", escape(s["unit"]), number(s["rms"], 3), number(s["late_rms"], 3), number(s["late_percent"], 3))
+    rows = [(f"<i>{escape(n)}</i>", unit(s["unit"]), number(s["rms"], 3), number(s["late_rms"], 3), number(s["late_percent"], 3))
             for n, s in states.items()]  # fmt: skip
     return "<h2>State estimates</h2>" + table(
         ("state", "unit", "rms error", "in the last tenth", "% of its spread"), rows, (2, 3, 4)
@@ -102,9 +111,8 @@ def _validation(result: Mapping[str, Any]) -> str:
     if model["problem"]:
         facts.append(f"The observer's model could not be simulated: {escape(model['problem'])}.")
     elif model["law"]:
-        facts.append(
-            f"The estimates make a <b>{escape(model['law'])}</b> model with {number(found['mse_percent'], 3)} % of the variance left."
-        )
+        left = number(found["mse_percent"], 3)
+        facts.append(f"The estimates make a <b>{escape(model['law'])}</b> model that leaves {left} % of the variance.")
     for key, text in (("coulomb", "the fitted viscous + Coulomb model"), ("linear", "the fitted viscous model")):
         ratio = _finite(found.get(f"mse_over_{key}"))
         if ratio is not None:
@@ -170,9 +178,8 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
     overrides = result.get("overrides") or []
     changed = f"<p>Overridden on the command line: <code>{escape('  '.join(overrides))}</code></p>" if overrides else ""
     title = about.get("title") or result["scenario"]
-    simulated = f"{result['duration_s']:g} s simulated in {result['steps']:,} steps, {result['wall_s']:.1f} s of work".replace(
-        ",", " "
-    )
+    steps = f"{result['steps']:,}".replace(",", "\u202f")
+    simulated = f"{result['duration_s']:g} s simulated in {steps} steps; the whole run took {result['wall_s']:.1f} s"
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{escape(result["scenario"])}: {result["verdict"]}</title><style>{style}</style></head>

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.harness import metrics, results
+from bristle.harness.fmu import Fmu
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import Bus, Trace, simulate
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
@@ -81,6 +83,7 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
     with clock.stage("FMUs (built only if new)"):
         tell("building FMUs", 0, 0)
         setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))
+        lean = lean_fmus() if setup.scenario.validation is not None else {}
         identification_bus = identification(setup)
     with clock.stage("co-simulation"):
         trace = _simulate(identification_bus, lambda done: tell("co-simulation", done, setup.steps))
@@ -91,7 +94,7 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
     if setup.scenario.validation is not None and trace.failure is None:
         with clock.stage("validation: second record and fits"):
             tell("validation and fits", 0, 0)
-            validated = _validate(setup, result, view)
+            validated = _validate(setup, result, view, lean)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
     _judge(result, setup)
     with clock.stage("report"):
@@ -157,12 +160,19 @@ def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:
         for name, fmu in setup.fmus.items()
     }
     result: dict[str, Any] = {
-        "scenario": setup.loaded.name, "verdict": "fail", "steps": trace.steps, "duration_s": trace.steps * trace.h, "step_s": trace.h,
-        "wall_s": 0.0, "overrides": setup.loaded.overrides, "notes": [],
+        "scenario": setup.loaded.name, "verdict": "fail", "steps": trace.steps, "wall_s": 0.0,
+        "duration_s": trace.steps * trace.h, "step_s": trace.h, "overrides": setup.loaded.overrides, "notes": [],
         "estimates": metrics.estimates(trace, view.true, view.units),
         "states": metrics.state_errors(trace, view.states(), view.units),
         "checks": [], "fmus": fmus,
     }  # fmt: skip
+    if setup.samples is not None and setup.scenario.record is not None:
+        file = setup.loaded.beside(setup.scenario.record.file)
+        result["record"] = {
+            "file": file.name,
+            "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+            "samples": len(setup.samples),
+        }
     if "reference" in view.signals:
         result["tracking_rms"] = float(np.sqrt(np.mean((view.signals["reference"] - view.signals["v"]) ** 2)))
     if trace.failure is not None:
@@ -174,16 +184,12 @@ def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:
     return result
 
 
-def _validate(setup: Setup, result: Mapping[str, Any], view: _View) -> Validation:
+def _validate(setup: Setup, result: Mapping[str, Any], view: _View, fmus: Mapping[str, Fmu]) -> Validation:
     second = _simulate(validation_bus(setup))
-    fmus = lean_fmus()
     if second.failure is not None:
-        from bristle.model.errors import BristleError
-
         failure = second.failure
-        raise BristleError(
-            f"{setup.loaded.path}: validation run: {failure.unit} failed at {failure.time:g} s: {failure.message}; change validation.seed"
-        )
+        what = f"the second record ended at {failure.time:g} s: {failure.unit}: {failure.message}"
+        raise setup.loaded.error("validation", None, f"{what}; change validation.seed or validation.duration")
     identified = identified_model(result["estimates"], told(setup, setup.values["observer"]), fmus)
     demand = setup.scenario.validation
     assert demand is not None

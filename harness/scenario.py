@@ -236,7 +236,8 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         raise _first(path, tree, error) from None
     if scenario.name and scenario.name != path.stem:
         raise _error(path, "name", scenario.name, f"must be the file's name '{path.stem}'; rename one of them or leave name out")
-    return Loaded(path, text, scenario, overrides)
+    given = [*overrides, *([f"controller.parameters.seed={seed}"] if seed is not None else [])]
+    return Loaded(path, text, scenario, given)
 
 
 def _flatten_parameters(tree: dict[str, Any], part: str) -> None:

@@ -15,7 +15,7 @@ import casadi as ca
 
 from bristle.model.errors import BristleError
 from bristle.model.proximal import proximal
-from bristle.model.rosenbrock import rodas3
+from bristle.model.rosenbrock import rodas
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
 from bristle.model.units import per_second
 from bristle.model.variables import Parameter, Variable
@@ -197,7 +197,7 @@ class Program:
             add(name, [values({n: system.updates[n] for n in sampled})] if sampled else [])
         n = len(system.states)
         if system.states:
-            step = ca.vertcat(proximal(system, h), 0) if system.dry else ca.vertcat(*rodas3(system, h))
+            step = ca.vertcat(proximal(system, h), 0) if system.dry else ca.vertcat(*rodas(system, h))
             add("step", [(step, range(n + 1))], to_output=True)
             if self.sensitivities:
                 add("step_jacobian", [self._step_jacobian(system, step[:n])], to_output=True)

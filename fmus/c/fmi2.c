@@ -121,7 +121,8 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,
-                                        const fmi2ValueReference known[], size_t n_known, const fmi2Real seed[], fmi2Real sensitivity[])
+                                        const fmi2ValueReference known[], size_t n_known, const fmi2Real seed[],
+                                        fmi2Real sensitivity[])
 {
     WITH(s, c, directional_derivative(s, __func__, unknown, n_unknown, known, n_known, seed, sensitivity));
 }
@@ -176,7 +177,11 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { WITH(s, c, set_time(s, 
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) { WITH(s, c, set_states(s, __func__, x, n)); }
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { WITH(s, c, get_states(s, __func__, x, n)); }
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) { WITH(s, c, get_derivatives(s, __func__, dx, n)); }
-fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { WITH(s, c, get_nominals(s, __func__, x, n)); }
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
+{
+    WITH(s, c, get_nominals(s, __func__, x, n));
+}
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real indicators[], size_t n)
 {
@@ -221,7 +226,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
 
 fmi2Status fmi2CancelStep(fmi2Component c) { ABSENT(c, "no step is ever pending"); }
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) { ABSENT(c, "no step is ever pending"); }
-fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) { ABSENT(c, "there is no integer status"); }
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) { ABSENT(c, "there is none"); }
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) { ABSENT(c, "no step is ever pending"); }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],

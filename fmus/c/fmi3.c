@@ -158,7 +158,8 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Bool
                                     fmi3Boolean *values, fmi3Boolean *next_defined, fmi3Float64 *next)
 {
     FIND(s, c);
-    if (check_outputs(s, __func__, EVENT, 6, (const void *[]){again, terminate, nominals, values, next_defined, next})) return fmi3Error;
+    const void *const results[] = {again, terminate, nominals, values, next_defined, next};
+    if (check_outputs(s, __func__, EVENT, 6, results)) return fmi3Error;
     *again = *terminate = *nominals = *values = *next_defined = fmi3False;
     *next = 0.0;
     return fmi3OK;
@@ -176,8 +177,17 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean keep, fmi3Boo
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { WITH(s, c, set_time(s, __func__, time)); }
 fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n) { WITH(s, c, set_states(s, __func__, x, n)); }
 fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { WITH(s, c, get_states(s, __func__, x, n)); }
-fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], size_t n) { WITH(s, c, get_derivatives(s, __func__, dx, n)); }
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { WITH(s, c, get_nominals(s, __func__, x, n)); }
+
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], size_t n)
+{
+    WITH(s, c, get_derivatives(s, __func__, dx, n));
+}
+
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n)
+{
+    WITH(s, c, get_nominals(s, __func__, x, n));
+}
+
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) { WITH(s, c, count_states(s, __func__, n)); }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 indicators[], size_t n)
@@ -235,7 +245,8 @@ NO_SUCH_TYPE(UInt32, fmi3UInt32)
 NO_SUCH_TYPE(UInt64, fmi3UInt64)
 NO_SUCH_TYPE(String, fmi3String)
 
-fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n, size_t sizes[], fmi3Binary values[], size_t n_values)
+fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n, size_t sizes[], fmi3Binary values[],
+                         size_t n_values)
 {
     WITH(s, c, no_variable(s, __func__, n));
 }
@@ -252,7 +263,10 @@ fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n
 fmi3Status fmi3GetClock(VRS, fmi3Clock values[]) { CLOCKLESS(c); }
 fmi3Status fmi3SetClock(VRS, const fmi3Clock values[]) { CLOCKLESS(c); }
 fmi3Status fmi3GetIntervalDecimal(VRS, fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[]) { CLOCKLESS(c); }
-fmi3Status fmi3GetIntervalFraction(VRS, fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]) { CLOCKLESS(c); }
+fmi3Status fmi3GetIntervalFraction(VRS, fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
+{
+    CLOCKLESS(c);
+}
 fmi3Status fmi3GetShiftDecimal(VRS, fmi3Float64 shifts[]) { CLOCKLESS(c); }
 fmi3Status fmi3GetShiftFraction(VRS, fmi3UInt64 counters[], fmi3UInt64 resolutions[]) { CLOCKLESS(c); }
 fmi3Status fmi3SetIntervalDecimal(VRS, const fmi3Float64 intervals[]) { CLOCKLESS(c); }
@@ -264,7 +278,11 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) { ABSENT(c, "this FMU has 
 fmi3Status fmi3EnterStepMode(fmi3Instance c) { ABSENT(c, "this FMU has no event mode in Co-Simulation"); }
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { ABSENT(c, "this FMU has no structural parameters"); }
 fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { ABSENT(c, "this FMU has no structural parameters"); }
-fmi3Status fmi3GetOutputDerivatives(VRS, const fmi3Int32 orders[], fmi3Float64 values[], size_t n_values) { ABSENT(c, "derivatives of outputs are not provided"); }
+
+fmi3Status fmi3GetOutputDerivatives(VRS, const fmi3Int32 orders[], fmi3Float64 values[], size_t n_values)
+{
+    ABSENT(c, "derivatives of outputs are not provided");
+}
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference vr, size_t *n)
 {

@@ -362,6 +362,8 @@ typedef struct {
     unsigned long long size, checksum;
 } Header;
 
+#define STATE_SIZE (sizeof(Header) + sizeof(Situation)) /* serialised */
+
 static Situation *find_state(void *handle) { return handle_find(handle, HANDLE_STATE); }
 
 static int refuse_state(const Instance *s, const char *who)
@@ -431,7 +433,7 @@ int state_size(Instance *s, const char *who, void *handle, size_t *size)
 {
     if (require_pointer(s, who, size)) return ERROR;
     if (!find_state(handle)) return refuse_state(s, who);
-    *size = sizeof(Header) + sizeof(Situation);
+    *size = STATE_SIZE;
     return OK;
 }
 
@@ -440,8 +442,7 @@ int state_serialise(Instance *s, const char *who, void *handle, void *bytes, siz
     const Situation *state = find_state(handle);
     if (require_pointer(s, who, bytes)) return ERROR;
     if (!state) return refuse_state(s, who);
-    if (size != sizeof(Header) + sizeof *state)
-        return refuse(s, who, "the state has %lu bytes, not %lu", (unsigned long)(sizeof(Header) + sizeof *state), (unsigned long)size);
+    if (size != STATE_SIZE) return refuse(s, who, "the state has %lu bytes, not %lu", (unsigned long)STATE_SIZE, (unsigned long)size);
     const Header header = header_of(state);
     memcpy(bytes, &header, sizeof header);
     memcpy((char *)bytes + sizeof header, state, sizeof *state);
@@ -451,16 +452,17 @@ int state_serialise(Instance *s, const char *who, void *handle, void *bytes, siz
 /* The few numbers that lead to functions and loops; the rest are values. */
 static int plausible(const Situation *state)
 {
-    const int mode = state->mode;
-    return state->core.variant >= 0 && state->core.variant < N_VARIANTS && state->core.level >= 0 && state->core.level <= 40
-        && mode > 0 && mode <= FAILED && !(mode & (mode - 1)) && (state->kind == CO_SIMULATION || (SMOOTH && state->kind == MODEL_EXCHANGE));
+    const Core *c = &state->core;
+    const int mode = state->mode, one_mode = mode > 0 && mode <= FAILED && !(mode & (mode - 1));
+    const int kind = state->kind == CO_SIMULATION || (SMOOTH && state->kind == MODEL_EXCHANGE);
+    return one_mode && kind && c->variant >= 0 && c->variant < N_VARIANTS && c->level >= 0 && c->level < 62;
 }
 
 int state_deserialise(Instance *s, const char *who, const void *bytes, size_t size, void **handle)
 {
     Situation state;
     if (require_pointer(s, who, bytes) || require_pointer(s, who, handle)) return ERROR;
-    if (size != sizeof(Header) + sizeof state) return refuse(s, who, "the bytes are not a serialised state of this FMU: wrong size");
+    if (size != STATE_SIZE) return refuse(s, who, "the bytes are not a serialised state of this FMU: wrong size");
     memcpy(&state, (const char *)bytes + sizeof(Header), sizeof state);
     const Header expected = header_of(&state);
     if (memcmp(bytes, &expected, sizeof expected) || !plausible(&state))
@@ -475,7 +477,8 @@ static const Variant *variant_of(const Instance *s) { return &VARIANTS[s->now.co
 static int require_states(const Instance *s, const char *who, const double x[], size_t n)
 {
     if (s->now.kind != MODEL_EXCHANGE) return refuse(s, who, "the instance was made for Co-Simulation");
-    if ((int)n != variant_of(s)->n_states) return refuse(s, who, "there are %d continuous states, not %lu", variant_of(s)->n_states, (unsigned long)n);
+    if (n != (size_t)variant_of(s)->n_states)
+        return refuse(s, who, "there are %d continuous states, not %lu", variant_of(s)->n_states, (unsigned long)n);
     return n && !x ? refuse_array(s, who, n) : OK;
 }
 

@@ -177,3 +177,16 @@ def test_a_second_dry_row_is_refused():
     system.dry_friction("v", 1.0, 1.0)
     with pytest.raises(BristleError, match="already has a dry-friction row"):
         system.dry_friction("v", 1.0, 1.0)
+
+
+def test_a_force_that_depends_on_time_is_taken_at_the_end_of_the_step():
+    """Without friction a ramp k t gives the right-hand rectangle sum exactly, as an implicit step should."""
+    system = System("ramp")
+    x = system.state(State("v", "m/s", "velocity"))
+    system.rate("v", 3.0 * system.time)
+    system.dry_friction("v", 1.0, 0.0)
+    system.output(Variable("speed", "m/s", "velocity"), x)
+    program, h, n = Program("Ramp", [system]), 1e-2, 50
+    native = Native(program, {"solver.friction_step": h, "solver.max_step": 1.0})
+    native.advance(n * h)
+    assert native.values[program.index["speed"]] == pytest.approx(3.0 * h * h * n * (n + 1) / 2, rel=1e-12)

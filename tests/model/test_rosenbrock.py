@@ -40,12 +40,12 @@ def observed_order(program, exact, seconds=1.0):
     return np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
-def test_order_three_on_a_logistic_equation():
+def test_order_four_on_a_logistic_equation():
     program = one_state("logistic", lambda x, t: 2.0 * x * (1.0 - x), start=0.1)
-    assert observed_order(program, 1.0 / (1.0 + 9.0 * math.exp(-2.0))) == pytest.approx(3.0, abs=0.2)
+    assert observed_order(program, 1.0 / (1.0 + 9.0 * math.exp(-2.0))) == pytest.approx(4.0, abs=0.35)
 
 
-def test_order_three_on_a_pendulum():
+def test_order_four_on_a_pendulum():
     system = System("pendulum")
     a = system.state(State("a", "rad", "angle", initial=1.5, scale=UNCONTROLLED))
     r = system.state(State("r", "rad/s", "rate", scale=UNCONTROLLED))
@@ -54,12 +54,12 @@ def test_order_three_on_a_pendulum():
     system.output(Variable("y", "rad", "angle"), a)
     program = Program("Pendulum", [system])
     exact = solve_ivp(lambda t, s: [s[1], -math.sin(s[0])], (0, 2), [1.5, 0.0], "DOP853", rtol=1e-13, atol=1e-13).y[0, -1]
-    assert observed_order(program, exact, 2.0) == pytest.approx(3.0, abs=0.2)
+    assert observed_order(program, exact, 2.0) == pytest.approx(4.0, abs=0.35)
 
 
-def test_order_three_where_the_right_hand_side_depends_on_time():
-    program = one_state("driven", lambda x, t: -x * x * ca.cos(3.0 * t), start=1.0)
-    assert observed_order(program, 1.0 / (1.0 + math.sin(3.0) / 3.0)) == pytest.approx(3.0, abs=0.2)
+def test_order_four_where_the_right_hand_side_depends_on_time():
+    program = one_state("driven", lambda x, t: -x * x * (1.0 + ca.cos(3.0 * t)), start=1.0)
+    assert observed_order(program, 1.0 / (2.0 + math.sin(3.0) / 3.0)) == pytest.approx(4.0, abs=0.35)
 
 
 def test_a_stiff_transient_is_damped_in_one_step():

@@ -6,6 +6,9 @@ import pytest
 
 from bristle.model.errors import BristleError
 from bristle.model.native import Native
+from bristle.model.program import Program
+from bristle.model.system import System
+from bristle.model.variables import Parameter, State, Variable
 from bristle.plant.servo import servo_program
 
 LAWS = {
@@ -100,3 +103,18 @@ def test_while_it_sticks_nothing_depends_on_anything():
 def test_an_unknown_sensitivity_is_refused():
     with pytest.raises(BristleError, match="'friction' is no parameter of 'lugre'; known: J, b"):
         servo_program("lugre", sensitivities=("friction",))
+
+
+def test_sensitivities_go_through_constants_computed_at_the_start():
+    system = System("decay")
+    a = system.parameter(Parameter("a", "a", "1", 1.3, 0.0, 10.0, "root of the rate", "dixit2008 eq. (7)"))
+    rate = system.constant({"square": a * a}).square
+    double = system.constant({"double": 2.0 * rate}).double
+    system.input(Variable("pace", "1", "only counts the steps"))
+    x = system.state(State("x", "1", "state", initial=1.0))
+    system.rate("x", -double * x)
+    system.output(Variable("y", "1", "state"), x)
+    program = Program("Decay", [system], sensitivities=("a",))
+    record, s = Native(program).run(1e-2, {"pace": np.zeros(60)}, ["time", "y"], sensitivities=True)
+    t = record[:, 0]
+    np.testing.assert_allclose(s[:, 0, 0], -4.0 * 1.3 * t * np.exp(-2.0 * 1.69 * t), rtol=0, atol=1e-6)

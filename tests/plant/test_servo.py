@@ -192,3 +192,18 @@ def test_a_parameter_outside_its_interval_is_named_with_unit_and_range(name, par
     assert f" {unit} is outside [" in text
     assert f"] {unit}; choose" in text
     assert "\n" not in text
+
+
+def test_lugre_without_stribeck_effect_is_the_modified_law_with_tau():
+    """With Fs = Fc: w = sigma0 z/J, sigma0/J, c = sigma0/Fc and tau = sigma1/sigma0 turn one law into the other."""
+    n = 3000
+    u = 3.0 * np.sin(0.02 * np.arange(n)) + np.sin(0.11 * np.arange(n))
+    lugre, modified = servo_program("lugre", encoder=False), servo_program("modified", encoder=False)
+    own = {"lugre.sigma0": 0.8, "lugre.sigma1": 0.02, "lugre.Fc": 0.004, "lugre.Fs": 0.004}
+    same = {"modified.sigma0": 800.0, "modified.sigma1": 0.0, "modified.sigma2": 0.0, "modified.c": 200.0, "modified.tau": 0.025}
+    first, _ = Native(lugre, own).run(H, {"u": u}, ["theta", "v", "F"])
+    second, _ = Native(modified, same).run(H, {"u": u}, ["theta", "v", "F"])
+    size = np.ptp(first, axis=0)
+    assert np.all(np.abs(second - first) <= [1e-8, 1e-8, 1e-7] * size)
+    without, _ = Native(modified, same | {"modified.tau": 0.0}).run(H, {"u": u}, ["theta", "v", "F"])
+    assert np.max(np.abs(without - first) / size) > 1e-3

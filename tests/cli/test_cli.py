@@ -1,0 +1,198 @@
+"""The command line as a user meets it: exit codes, one line for an error, nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+SCENARIO = """
+title = "For the command line"
+duration = "1 s"
+[plant]
+law = "modified"
+[observer]
+method = "bastin_gevers"
+[[checks]]
+name = "b moves"
+quantity = "estimates.b.moved_percent"
+min = 1
+"""
+Cli = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def command(arguments: Sequence[object]) -> list[str]:
+    return [sys.executable, "-m", "bristle.cli.main", *map(str, arguments)]
+
+
+@pytest.fixture
+def temporary(tmp_path: Path) -> Path:
+    """The folder for temporary files of the commands under test."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def cli(temporary: Path) -> Cli:
+    """Return what runs the command line to its end; it must leave no temporary file."""
+
+    def call(*arguments: object) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "TMPDIR": str(temporary)}
+        done = subprocess.run(command(arguments), capture_output=True, text=True, env=environment, timeout=300, check=False)
+        assert os.listdir(temporary) == []
+        assert "Traceback" not in done.stderr or "--debug" in arguments
+        return done
+
+    return call
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    """A scenario file that passes."""
+    path = tmp_path / "case.toml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def test_all_pass_is_0(cli: Cli, case: Path, tmp_path: Path) -> None:
+    done = cli("run", case, "--out", tmp_path / "out")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split()[:2] == ["case", "pass"]
+    assert len(done.stdout.splitlines()) == 1
+    assert str(tmp_path / "out" / "case" / "report.html") in done.stdout
+    assert sorted(os.listdir(tmp_path / "out")) == ["case"]
+
+
+def test_a_failed_verdict_is_1(cli: Cli, case: Path, tmp_path: Path) -> None:
+    done = cli("run", case, "--out", tmp_path / "out", "--set", "checks.0.min=1e6")
+    assert done.returncode == 1
+    assert "fail" in done.stdout
+    assert "b moves" in done.stdout
+    assert json.loads((tmp_path / "out/case/result.json").read_text())["verdict"] == "fail"
+
+
+def one_line(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    assert done.returncode == 2
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("bristle: ")
+    for word in words:
+        assert word in lines[0]
+
+
+def test_errors_are_2_and_one_line(cli: Cli, case: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    one_line(cli("run", tmp_path / "nowhere.toml", "--out", out), "nowhere.toml", "No such file")
+    one_line(cli("run", case, "--out", out, "--set", "plant.parameters.J=-1 kg.m2"), "plant.parameters.J", "outside")
+    one_line(cli("run", case, "--out", case), "output folder", str(case))
+    one_line(cli("run", case, case, "--out", out), "given 2 times")
+    one_line(cli("run", case), "--out")
+    one_line(cli("run", case, "--out", out, "--fmi", "4"), "--fmi")
+    one_line(cli("run", case, "--out", out, "--kind", "python", "--fmi", "3"), "FMI 3")
+    one_line(cli("dance"), "dance")
+    one_line(cli(), "list, build, run")
+    one_line(cli("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
+    assert not (out / "case").exists()
+
+
+def test_one_bad_scenario_does_not_stop_the_others(cli: Cli, case: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_text("duration = 3")
+    done = cli("run", bad, case, "--out", tmp_path / "out")
+    one_line(done, "bad.toml")
+    assert done.stdout.split()[:2] == ["case", "pass"]
+
+
+def test_debug_shows_the_traceback_and_still_exits_with_2(cli: Cli, tmp_path: Path) -> None:
+    done = cli("run", tmp_path / "nowhere.toml", "--out", tmp_path, "--debug")
+    assert done.returncode == 2
+    assert "Traceback" in done.stderr
+
+
+def test_list_names_what_there_is(cli: Cli) -> None:
+    done = cli("list")
+    assert done.returncode == 0
+    for word in ("modified", "coulomb", "bastin_gevers", "rls", "quick"):
+        assert word in done.stdout
+
+
+def test_build_writes_readable_fmus(cli: Cli, tmp_path: Path) -> None:
+    from fmpy import read_model_description
+
+    done = cli("build", "controller", "--fmi", "3", "--out", tmp_path / "fmus")
+    [path] = done.stdout.split()
+    assert read_model_description(path).fmiVersion.startswith("3.")
+    lean = cli("build", "plant", "--law", "viscous", "--out", tmp_path / "fmus")
+    assert read_model_description(lean.stdout.strip()).modelName == "ServoPlant_viscous"
+    assert sorted(os.listdir(tmp_path / "fmus")) == ["Controller.fmu", "ServoPlant_viscous.fmu"]
+
+
+def test_help_is_quick(cli: Cli) -> None:
+    """Nothing heavy is imported for it."""
+    heavy = {"numpy", "casadi", "scipy", "fmpy", "matplotlib", "pydantic"}
+    code = f"import sys; import bristle.cli.main; print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert cli("--help").returncode == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize(
+    ("number", "stage"),
+    [(signal.SIGINT, "simulation"), (signal.SIGTERM, "simulation"), (signal.SIGINT, "fits"), (signal.SIGINT, "child")],
+)
+def test_an_interrupt_is_one_line_and_leaves_nothing(number: int, stage: str, case: Path, tmp_path: Path, temporary: Path) -> None:
+    from bristle.fmus import build
+
+    out = tmp_path / "out"
+    subprocess.run(command(["run", case, "--out", out]), check=True, capture_output=True)
+    before = (out / "case" / "result.json").read_text()
+    long = ["--set", "duration=4000 s"]
+    if stage == "fits":
+        long = ["--set", "duration=300 s", "--set", "plant.law=lugre", "--set", "validation.duration=100 s"]
+    if stage == "child":
+        case.write_text(SCENARIO.replace('law = "modified"', 'fmu = "foreign.fmu"'))
+        build("plant", tmp_path / "foreign.fmu", law="modified")
+    environment = {**os.environ, "TMPDIR": str(temporary)}
+    running = subprocess.Popen(command(["run", case, "--out", out, *long]), stderr=subprocess.PIPE, text=True, env=environment)
+    prefix, count = {"simulation": ("bristle-fmu-", 3), "fits": ("bristle-fmu-", 2), "child": ("bristle-run-", 1)}[stage]
+    _wait_for(lambda: sum(name.startswith(prefix) for name in os.listdir(temporary)) == count, running)
+    if stage == "fits":  # the drives come after the co-simulation's three
+        _wait_for(lambda: len(os.listdir(temporary)) == 2, running)
+    time.sleep(0.3)
+    running.send_signal(number)
+    _, said = running.communicate(timeout=20)
+    assert (running.returncode, said) == (2, "bristle: interrupted\n")
+    assert os.listdir(temporary) == []
+    assert os.listdir(out) == ["case"]
+    assert (out / "case" / "result.json").read_text() == before
+    assert not _children_of(temporary)
+
+
+def _wait_for(condition: Callable[[], bool], running: subprocess.Popen[str]) -> None:
+    until = time.monotonic() + 60
+    while not condition():
+        assert running.poll() is None, "ended before it could be interrupted"
+        assert time.monotonic() < until, "never came so far"
+        time.sleep(0.01)
+
+
+def _children_of(temporary: Path) -> list[str]:
+    """Return the command lines of processes that still work in a folder."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline") if Path("/proc").is_dir() else ():
+        try:
+            line = entry.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:
+            continue
+        if str(temporary) in line:
+            found.append(line)
+    return found

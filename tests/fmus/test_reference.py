@@ -1,0 +1,64 @@
+"""The shipped reference runs, through FMI; and that the comparison can fail."""
+
+import numpy as np
+import pytest
+
+from bristle.fmus.build import WHAT
+from bristle.fmus.reference import EVERY, STEP, STEPS, inputs, outside, read_reference, reference_run
+
+
+def through_fmi(raw, what, names):
+    given, handle = inputs(what), raw.running()
+    rows = [raw.get(handle, *names)]
+    for k in range(STEPS):
+        for name, values in given.items():
+            assert raw.set(handle, name, float(values[k])) == 0
+        assert raw.step(handle, STEP * k, STEP) == 0
+        if (k + 1) % EVERY == 0:
+            rows.append(raw.get(handle, *names))
+    return dict(zip(names, np.array(rows).T, strict=True))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("what", WHAT)
+def test_the_fmu_stays_in_the_tube(built, Raw, what, fmi):
+    fmu, reference = built(what, fmi=fmi), read_reference(what)
+    names = [name for name in fmu.names("output") if name in reference]
+    assert names
+    expected = {name: reference[name] for name in names}
+    assert outside(expected, through_fmi(Raw(fmu.info), what, names)) == {}
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_the_reference_is_the_run_of_the_program(what):
+    reference, run = read_reference(what), reference_run(what)
+    assert list(reference) == list(run)
+    assert outside(reference, run) == {}
+    moving = [name for name in reference if name not in ("time", *inputs(what)) and np.ptp(reference[name]) > 0]
+    assert len(moving) >= 2
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda x: x | {"u": x["u"] * (1 + 1e-5)},
+        lambda x: x | {"u": np.where(x["time"] == x["time"][7], np.nan, x["u"])},
+        lambda x: x | {"u": np.full_like(x["u"], np.nan)},
+        lambda x: {name: values for name, values in x.items() if name != "u"},
+        lambda x: x | {"u": x["u"][:-1]},
+        lambda x: x | {"u": np.roll(x["u"], 1)},
+    ],
+)
+def test_what_leaves_the_tube_is_named(spoil):
+    reference = read_reference("controller")
+    assert outside(reference, dict(reference)) == {}
+    assert list(outside(reference, spoil(dict(reference)))) == ["u"]
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_readme_is_ten_lines(what):
+    from importlib.resources import files
+
+    lines = (files("bristle.fmus") / what / "README.md").read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("# ")
+    assert 8 <= len(lines) <= 12

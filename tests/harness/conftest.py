@@ -1,0 +1,143 @@
+"""Shared by the tests of the harness: scenario files, and tiny FMUs of somebody else's make."""
+
+from __future__ import annotations
+
+import os
+import re
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bristle.model.compiler import compile_shared
+from bristle.model.errors import BristleError
+
+BASE = """
+duration = "2 s"
+step = "1 ms"
+
+[plant]
+law = "modified"
+
+[plant.parameters]
+J = "0.001 kg.m2"
+
+[observer]
+method = "bastin_gevers"
+
+[[checks]]
+quantity = "estimates.b.error_percent"
+max_abs = 1e6
+"""
+
+# A plant v' = 6.5 u - 2 v, theta' = v by explicit Euler; FAULT is what happens in doStep.
+TINY = """
+#include <stdlib.h>
+#include <string.h>
+#define E __attribute__((visibility("default")))
+typedef struct { double v[8]; } M;
+enum { U = 1, THETA = 2, V = 3, GAIN = 4 };
+E const char *fmi2GetTypesPlatform(void) { return "default"; }
+E const char *fmi2GetVersion(void) { return "2.0"; }
+E void *fmi2Instantiate(const char *n, int t, const char *g, const char *r, const void *c, int vis, int log)
+{ (void)n; (void)t; (void)g; (void)r; (void)c; (void)vis; (void)log; M *m = calloc(1, sizeof(M)); m->v[GAIN] = 6.5; return m; }
+E void fmi2FreeInstance(void *m) { free(m); }
+E int fmi2SetReal(M *m, const unsigned *vr, size_t n, const double *x)
+{ for (size_t i = 0; i < n; i++) m->v[vr[i]] = x[i]; return 0; }
+E int fmi2GetReal(M *m, const unsigned *vr, size_t n, double *x)
+{ for (size_t i = 0; i < n; i++) x[i] = m->v[vr[i]]; return 0; }
+E int fmi2DoStep(M *m, double t, double h, int p)
+{
+    (void)p;
+    const double v = m->v[V];
+    m->v[V] += h * (m->v[GAIN] * m->v[U] - 2 * v);
+    m->v[THETA] += h * v;
+    if (t >= 0.5) { FAULT }
+    return 0;
+}
+"""
+XML = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="tiny" guid="{{tiny}}">
+<CoSimulation modelIdentifier="{identifier}"/>
+<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.0174532925"/></Unit><Unit name="V"/></UnitDefinitions>
+<ModelVariables>
+<ScalarVariable name="u" valueReference="1" causality="input"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="theta" valueReference="2" causality="output"><Real {unit}/></ScalarVariable>
+<ScalarVariable name="{v}" valueReference="3" causality="output"><Real/></ScalarVariable>
+<ScalarVariable name="gain" valueReference="4" causality="parameter" variability="fixed">
+<Real start="6.5" min="0" max="10"/></ScalarVariable>
+</ModelVariables>
+<ModelStructure><Outputs><Unknown index="2"/><Unknown index="3"/></Outputs>
+<InitialUnknowns><Unknown index="2"/><Unknown index="3"/></InitialUnknowns></ModelStructure>
+</fmiModelDescription>
+"""
+FAULTS = {"none": "", "error": "return 3;", "abort": "abort();", "segfault": "*(volatile int *)0 = 1;", "exit": "exit(7);"}
+
+
+@pytest.fixture(scope="session")
+def tiny_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return a maker of foreign plant FMUs: fault, and what is wrong with the description."""
+    from fmpy.fmi2 import FMU2Slave
+
+    names = {name for name in dir(FMU2Slave) if name.startswith("fmi2") and "Callback" not in name}
+    stubs = "".join(f"E int {n}(void) {{ return 0; }}\n" for n in sorted(names) if not re.search(rf"\b{n}\(", TINY))
+
+    def make(fault: str = "none", *, identifier: str = "tiny", unit: str = "", v: str = "v", binary: bool = True) -> Path:
+        folder = tmp_path_factory.mktemp(f"tiny_{fault}")
+        library = folder / "tiny.so"
+        compile_shared({"tiny.c": TINY.replace("FAULT", FAULTS[fault]) + stubs}, library)
+        path = folder / f"{fault}.fmu"
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("modelDescription.xml", XML.format(identifier=identifier, unit=unit, v=v))
+            if binary:
+                archive.write(library, f"binaries/linux64/{identifier.split('/')[-1]}.so")
+        return path
+
+    return make
+
+
+@pytest.fixture
+def scenario_file(tmp_path: Path) -> Callable[..., Path]:
+    """Return a maker of scenario files."""
+
+    def make(text: str = BASE, name: str = "case") -> Path:
+        path = tmp_path / f"{name}.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return make
+
+
+@pytest.fixture
+def base() -> str:
+    """A small scenario that runs."""
+    return BASE
+
+
+@pytest.fixture
+def no_leftovers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Temporary files go to a folder of their own, which must be empty at the end."""
+    import tempfile
+
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    assert os.listdir(folder) == []
+
+
+@pytest.fixture
+def message() -> Callable[[Callable[[], Any]], str]:
+    """Return what calls something that must fail, and checks that the message is one line."""
+
+    def call(what: Callable[[], Any]) -> str:
+        with pytest.raises(BristleError) as caught:
+            what()
+        text = str(caught.value)
+        assert "\n" not in text
+        return text
+
+    return call

@@ -1,0 +1,184 @@
+"""A scenario from file to folder."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bristle.harness.run import Options, Run, run
+
+Maker = Callable[..., Path]
+pytestmark = pytest.mark.usefixtures("no_leftovers")
+
+
+class Page(HTMLParser):
+    """Collects what a page would load and what it says."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert tag not in ("script", "link", "iframe")
+        self.loads += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("whole")
+    path = folder / "whole.toml"
+    path.write_text("""
+title = "A title with <angle brackets> & more"
+shows = "What it shows."
+source = "dixit2008 eq. (3)"
+limits = "Short."
+duration = "6 s"
+[plant]
+law = "modified"
+[observer]
+method = "bastin_gevers"
+[validation]
+seed = 3
+duration = "4 s"
+[[stimuli]]
+variable = "load_scale"
+points = [["0 s", 1.0], ["4 s", 1.25]]
+[[checks]]
+quantity = "estimates.b.error_percent"
+max_abs = 50
+[[checks]]
+name = "baseline is worse than the floor"
+quantity = "validation.floor_mse_percent"
+max = 50
+""")
+    return run(path, folder / "out")
+
+
+def test_result_json_keeps_the_contract(finished: Run) -> None:
+    result = json.loads((finished.folder / "result.json").read_text())
+    assert result["scenario"] == "whole"
+    assert result["verdict"] == "pass"
+    assert result["steps"] == 6000
+    assert result["wall_s"] > 0
+    assert set(result["estimates"]) == {"alpha2", "b", "Fc"}
+    assert {"unit", "true", "final", "error_percent", "settling_s"} <= set(result["estimates"]["b"])
+    assert {"mse_percent", "linear_mse_percent", "coulomb_mse_percent", "floor_mse_percent"} <= set(result["validation"])
+    assert {"name", "value", "limit", "pass"} <= set(result["checks"][0])
+    assert set(result["fmus"]) == {"plant", "controller", "observer"}
+    assert {"file", "sha256", "fmi", "kind"} == set(result["fmus"]["plant"])
+    assert sum(result["timing"].values()) == pytest.approx(result["wall_s"], rel=0.01)
+
+
+def test_the_truth_grows_with_the_load(finished: Run) -> None:
+    estimates = finished.result["estimates"]
+    assert estimates["Fc"]["true"] == pytest.approx(4.0 * 1.25)
+    assert estimates["alpha2"]["true"] == pytest.approx(2.0)
+
+
+def test_state_errors_pair_an_estimate_with_the_sample_before(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    """What is published at t_k+1 estimates t_k; paired with t_k+1 the error of v would be what v moves in a sample."""
+    done = run(scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=20 s"]))
+    names = (done.folder / "signals.csv").read_text().partition("\n")[0].split(",")
+    table = np.loadtxt(done.folder / "signals.csv", delimiter=",", skiprows=1)
+    v, v_hat = table[:, names.index("v")], table[:, names.index("v_hat")]
+    error = done.result["states"]["v"]["late_rms"]
+    assert error == pytest.approx(np.sqrt(np.mean((v_hat[1:] - v[:-1])[-2000:] ** 2)), rel=1e-6)
+    assert error < 0.2 * np.sqrt(np.mean((v_hat - v)[-2000:] ** 2))
+
+
+def test_signals_csv_is_numbers_under_names(finished: Run) -> None:
+    lines = (finished.folder / "signals.csv").read_text().splitlines()
+    names = lines[0].split(",")
+    assert names[0] == "time"
+    assert {"u", "reference", "theta", "v", "load_scale", "v_hat", "b_hat"} <= set(names)
+    table = np.array([[float(x) for x in line.split(",")] for line in lines[1:]])
+    assert table.shape == (2000, len(names))
+    assert table[-1, 0] == pytest.approx(6.0)
+    load = table[:, names.index("load_scale")]
+    assert (load[table[:, 0] < 4].max(), load[table[:, 0] >= 4].min()) == (1.0, 1.25)
+
+
+def test_report_is_one_file_that_says_it_all(finished: Run) -> None:
+    text = (finished.folder / "report.html").read_text()
+    page = Page(text)
+    assert page.loads
+    assert all(source.startswith("data:") for source in page.loads)
+    assert "<angle brackets>" not in text
+    words = " ".join(page.words)
+    for word in (
+        "A title with <angle brackets> & more",
+        "What it shows.",
+        "baseline is worse than the floor",
+        "viscous + Coulomb",
+        "pass",
+    ):
+        assert word in words
+    for sha in (fmu["sha256"] for fmu in finished.result["fmus"].values()):
+        assert sha in words
+    assert len(text) < 2_000_000
+    for name in ("estimates", "signals", "friction", "validation"):
+        assert (finished.folder / f"{name}.svg").read_text().startswith("<svg")
+
+
+def test_the_report_takes_little_time(finished: Run) -> None:
+    assert finished.result["timing"]["report"] < 5.0  # 1 s on a quiet machine
+
+
+def test_full_rate_on_request(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    done = run(scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=3 s"]))
+    assert len((done.folder / "signals.csv").read_text().splitlines()) == 3002
+
+
+def test_a_seed_changes_the_reference_and_nothing_else_does(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    path = scenario_file(base)
+    texts = [(run(path, tmp_path / "out", Options(seed=seed)).folder / "signals.csv").read_text() for seed in (1, 1, 2)]
+    assert texts[0] == texts[1]
+    assert texts[0] != texts[2]
+
+
+def test_an_observer_that_diverges_fails_with_the_time(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    wrong = '[observer.parameters]\nbesancon.alpha2 = "1e6 1/s"\n\n[[checks]]'
+    text = base.replace("bastin_gevers", "besancon").replace("[[checks]]", wrong).replace("estimates.b.error_percent", "steps")
+    done = run(scenario_file(text), tmp_path / "out")
+    result = json.loads((done.folder / "result.json").read_text())
+    assert result["verdict"] == "fail"
+    assert result["diverged"]["fmu"] == "observer"
+    assert 0 < result["diverged"]["time_s"] < 2
+    assert result["steps"] == round(result["diverged"]["time_s"] * 1000)
+    assert "The run ended" in (done.folder / "report.html").read_text()
+
+
+def test_a_missing_quantity_fails(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    done = run(scenario_file(base.replace("estimates.b.", "estimates.sigma0.")), tmp_path / "out")
+    assert not done.passed
+    assert math.isnan(done.result["checks"][0]["value"])
+
+
+@pytest.mark.parametrize("fault", ["none", "error"])
+def test_a_foreign_plant_takes_part(fault: str, tiny_fmu: Maker, base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    plant = f'fmu = "{tiny_fmu(fault)}"\n[plant.parameters]\ngain = 6.0'
+    done = run(scenario_file(base.replace('law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', plant)), tmp_path / "out")
+    assert done.result["estimates"]["b"]["true"] is None
+    if fault == "none":
+        assert done.result["fmus"]["plant"]["file"] == "none.fmu"
+        assert done.result["steps"] == 2000
+    else:
+        assert done.result["diverged"]["fmu"] == "plant"
+        assert not done.passed
+
+
+def test_a_plant_without_friction_has_no_friction_truth(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    done = run(scenario_file(base), tmp_path / "out", Options(overrides=["plant.law=viscous"]))
+    assert done.result["estimates"]["Fc"]["true"] is None
+    assert done.result["estimates"]["b"]["true"] == pytest.approx(6.5)

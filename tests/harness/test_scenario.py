@@ -1,0 +1,137 @@
+"""Every mistake in a scenario file is one line that names the file, the key, the value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bristle.harness.plan import find_fmus, identification, prepare
+from bristle.harness.scenario import load
+
+Maker = Callable[..., Path]
+Message = Callable[[Callable[[], object]], str]
+
+
+def read(path: Path, *overrides: str, seed: int | None = None) -> object:
+    loaded = load(path, overrides, seed)
+    return identification(prepare(loaded, find_fmus(loaded)))
+
+
+MISTAKES = [
+    # what to replace, by what, what the line must say
+    ("unknown key", 'step = "1 ms"', 'stepp = "1 ms"', ["stepp", "unknown key", "did you mean 'step'", "duration"]),
+    ("unknown key inside", 'law = "modified"', 'law = "modified"\nlwa = 1', ["plant.lwa", "allowed here", "law"]),
+    ("missing unit", '"2 s"', '"2"', ["duration", "missing unit", '"2 s"']),
+    ("bare number", '"2 s"', "2", ["duration", "missing unit"]),
+    ("wrong dimension", '"2 s"', '"2 kg"', ["duration", "'kg' does not fit", "'s'"]),
+    ("unknown unit", '"2 s"', '"2 fortnights"', ["duration", "fortnights", "known"]),
+    ("negative duration", '"2 s"', '"-2 s"', ["duration", "-2 s", "longer than 0 s"]),
+    ("duration no multiple", '"2 s"', '"2.0005 s"', ["duration", "whole number of steps"]),
+    ("duration too long", '"2 s"', '"1000000 s"', ["duration", "allowed are 5000000"]),
+    ("duration missing", 'duration = "2 s"', "", ["duration is missing"]),
+    ("parameter outside", "0.001 kg.m2", "-1 kg.m2", ["plant.parameters.J", "-1 kg.m2", "outside [1e-09, 1e+06] kg.m2"]),
+    ("parameter unknown", "J = ", "sigma0 = ", ["plant.parameters.sigma0", "no such parameter", "modified.sigma0"]),
+    ("parameter of another law", "J = ", '"lugre.Fc" = "1 N.m"\nJ = ', ["plant.parameters.lugre.Fc", "belongs to law 'lugre'"]),
+    ("parameter unit", "0.001 kg.m2", "0.001 kg.m", ["plant.parameters.J", "does not fit", "kg.m2"]),
+    ("parameter not finite", "0.001 kg.m2", "nan kg.m2", ["plant.parameters.J", "not finite"]),
+    ("unknown law", '"modified"', '"modifed"', ["plant.law", "modifed", "did you mean 'modified'", "coulomb"]),
+    ("unknown observer", '"bastin_gevers"', '"kalman"', ["observer.method", "kalman", "choose one of", "rls"]),
+    ("no observer", '[observer]\nmethod = "bastin_gevers"', "", ["observer", "missing"]),
+    ("law and fmu", 'law = "modified"', 'law = "modified"\nfmu = "x.fmu"', ["[plant] needs either law or fmu"]),
+    ("sensor", 'step = "1 ms"', 'sensor = "radar"', ["sensor", "radar", "clean", "encoder"]),
+    ("no checks", '[[checks]]\nquantity = "estimates.b.error_percent"\nmax_abs = 1e6', "", ["checks", "missing"]),
+    ("check without limit", "max_abs = 1e6", "", ["checks[0]", "no limit"]),
+    ("check with text", "max_abs = 1e6", 'max_abs = "small"', ["checks[0].max_abs", "small", "number"]),
+    ("not TOML", "[plant]", "[plant", ["not valid TOML", "line"]),
+    ("stimulus", "[[checks]]", '[[stimuli]]\nvariable = "load"\npoints = [["0 s", 1.0]]\n[[checks]]',
+     ["stimuli[0].variable", "load_scale"]),
+    ("stimulus of u", "[[checks]]", '[[stimuli]]\nvariable = "u"\npoints = [["0 s", "1 V"]]\n[[checks]]', ["no free input"]),
+    ("stimulus order", "[[checks]]", '[[stimuli]]\nvariable = "load_scale"\npoints = [["1 s", 1.0], ["1 s", 2.0]]\n[[checks]]',
+     ["stimuli[0].points[1]", "increase"]),
+    ("stimulus value", "[[checks]]", '[[stimuli]]\nvariable = "load_scale"\npoints = [["0 s", -1.0]]\n[[checks]]',
+     ["stimuli[0].points[0]", "outside [0"]),
+    ("record and plant", "[observer]", '[record]\nfile = "x.csv"\ntime = {column = "t", unit = "s"}\n'
+     'u = {column = "u", unit = "V"}\nv = {column = "v", unit = "rad/s"}\n[observer]', ["either [plant] or [record]"]),
+    ("seed zero", "[observer]", "[validation]\nseed = 0\n[observer]", ["validation.seed", "0", "at least 1"]),
+    ("other name", 'duration = "2 s"', 'duration = "2 s"\nname = "other"', ["name", "other", "'case'"]),
+    ("foreign FMU missing", 'law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', 'fmu = "nowhere.fmu"',
+     ["plant.fmu", "nowhere.fmu", "No such file"]),
+    ("foreign FMU broken", 'law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', 'fmu = "case.toml"',
+     ["plant.fmu", "not a zip archive"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES])
+def test_a_mistake_is_one_line_with_file_key_and_remedy(
+    old: str, new: str, words: list[str], base: str, scenario_file: Maker, message: Message
+) -> None:
+    assert old in base
+    path = scenario_file(base.replace(old, new, 1))
+    line = message(lambda: read(path))
+    assert line.startswith(f"{path}: ")
+    for word in words:
+        assert word in line, line
+
+
+def test_the_unchanged_file_is_accepted(base: str, scenario_file: Maker) -> None:
+    read(scenario_file(base))
+
+
+def test_missing_file_and_no_text(tmp_path: Path, message: Message) -> None:
+    assert "No such file" in message(lambda: load(tmp_path / "nowhere.toml"))
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    assert "not UTF-8" in message(lambda: load(tmp_path / "binary.toml"))
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "plant.parameters.modified.sigma0=700 1/s2",
+        'plant.parameters."modified.sigma0"="700 1/s2"',
+        "plant.parameters.modified.sigma0 = 700 1/s2",
+    ],
+)
+def test_set_reaches_structured_names(override: str, base: str, scenario_file: Maker) -> None:
+    plant = load(scenario_file(base), [override]).scenario.plant
+    assert plant is not None
+    assert plant.parameters["modified.sigma0"] == "700 1/s2"
+
+
+def test_set_replaces_values_in_tables_and_lists(base: str, scenario_file: Maker) -> None:
+    path = scenario_file(base)
+    scenario = load(path, ["duration=3 s", "checks.0.max_abs=7", "sensor=encoder", "validation.baselines=false"], seed=5).scenario
+    assert (scenario.duration, scenario.checks[0].max_abs, scenario.sensor) == (3.0, 7.0, "encoder")
+    assert scenario.validation is not None
+    assert not scenario.validation.baselines
+    assert scenario.controller.parameters["seed"] == 5
+
+
+@pytest.mark.parametrize(
+    ("override", "word"),
+    [
+        ("duration", "not path=value"),
+        ("checks.5.max=1", "no index"),
+        ("duration.x=1", "not a table"),
+        ("plant.lawn=1", "unknown key"),
+    ],
+)
+def test_a_wrong_override_is_one_line(override: str, word: str, base: str, scenario_file: Maker, message: Message) -> None:
+    path = scenario_file(base)
+    assert word in message(lambda: load(path, [override]))
+
+
+def test_quoted_and_nested_parameter_names_mean_the_same(base: str, scenario_file: Maker) -> None:
+    quoted = load(scenario_file(base.replace("J = ", '"modified.c" = "99 1/rad"\nJ = '), "a")).scenario.plant
+    nested = load(scenario_file(base.replace("J = ", 'modified.c = "99 1/rad"\nJ = '), "b")).scenario.plant
+    assert quoted == nested
+
+
+def test_stimuli_start_with_the_step_they_fall_on(base: str, scenario_file: Maker) -> None:
+    text = base.replace(
+        "[[checks]]", '[[stimuli]]\nvariable = "load_scale"\npoints = [["0 s", 1.0], ["0.5 s", 2.0], ["1.0001 s", 3.0]]\n[[checks]]'
+    )
+    loaded = load(scenario_file(text))
+    events = identification(prepare(loaded, find_fmus(loaded))).events
+    assert [(step, value) for step, _, value in events] == [(0, 1.0), (500, 2.0), (1001, 3.0)]
