@@ -177,10 +177,15 @@ def _progress(name: str) -> Iterator[Callable[[str, int, int], None] | None]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", name=name, total=None)
+        current = [bar.add_task("starting", name=name, total=None)]
+        stages = ["starting"]
 
         def tell(stage: str, done: int, total: int) -> None:
-            bar.update(task, description=stage, completed=done, total=total or None)
+            if stage != stages[-1]:
+                bar.remove_task(current.pop())
+                current.append(bar.add_task(stage, name=name, total=total or None))
+                stages.append(stage)
+            bar.update(current[0], completed=done)
 
         yield tell
 

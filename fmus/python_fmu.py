@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import distribution
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
@@ -64,6 +65,12 @@ def _library(folder: Traversable, suffix: str, model: str) -> bytes:
     return found[0].read_bytes()
 
 
+def _pythonfmu_licence() -> dict[str, bytes]:
+    """Return pythonfmu's licence, which has to go where its files go."""
+    found = [path for path in distribution("pythonfmu").files or () if path.name.upper().startswith("LICENSE")]
+    return {"documentation/licenses/pythonfmu.txt": found[0].read_binary()} if found else {}
+
+
 def python_files(program: Program) -> dict[str, bytes]:
     """Return the content of the FMU; names and value references are those of the native one."""
     interface = Interface(program, native=False)
@@ -74,6 +81,7 @@ def python_files(program: Program) -> dict[str, bytes]:
     content |= {f"resources/{script}_parts/{name}": text.encode() for name, text in package.items()}
     content[f"resources/{script}.py"] = _script(interface, f"{script}_parts").encode()
     content["resources/slavemodule.txt"] = script.encode()
+    content |= _pythonfmu_licence()
     pythonfmu = files("pythonfmu")
     content |= {f"resources/pythonfmu/{e.name}": e.read_bytes() for e in pythonfmu.iterdir() if e.name.endswith(".py")}
     for folder, suffix in (("linux64", ".so"), ("win64", ".dll")):

@@ -13,7 +13,7 @@ from typing import Any
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ"}  # fmt: skip
 CAPTIONS = {
-    "estimates": ("Estimates against truth", "Blue: estimate. Dashed: true value, with its ±5 % band. "
+    "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band. "
                   "Dotted green: the last time the error leaves the band. Above each: final error and that time. "
                   "First excursions are cut off."),
     "signals": ("Signals", "The last ten seconds of the run."),
@@ -149,12 +149,12 @@ def _times(result: Mapping[str, Any]) -> str:
     return table(("stage", "s", ""), [*rows, ("<b>total</b>", f"<b>{total:.2f}</b>", "")], (1,))
 
 
-def _fmus(result: Mapping[str, Any]) -> str:
-    rows = [
-        (escape(n), escape(f["file"]), f["fmi"], f["kind"], f'<code class="sub">{f["sha256"]}</code>')
-        for n, f in result["fmus"].items()
-    ]
-    return table(("unit", "file", "FMI", "kind", "sha256"), rows)
+def _participants(result: Mapping[str, Any]) -> str:
+    found = dict(result["fmus"])
+    if "record" in result:
+        found["record"] = {"fmi": "", "kind": "measured", **result["record"]}
+    rows = [(name, escape(f["file"]), f["fmi"], f["kind"], f'<code class="sub">{f["sha256"]}</code>') for name, f in found.items()]
+    return table(("part", "file", "FMI", "kind", "sha256"), rows)
 
 
 def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping[str, str], source: str) -> str:
@@ -195,6 +195,6 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
 <h2>About this scenario</h2><dl>{about_rows}</dl>{changed}
 <details><summary>The scenario file</summary><pre>{escape(source)}</pre></details>
 <h2>Where the time went</h2>{_times(result)}
-<h2>FMUs</h2>{_fmus(result)}
+<h2>What took part</h2>{_participants(result)}
 </main></body></html>
 """

@@ -126,7 +126,7 @@ class Core:
         ratio = math.ceil(length / self.v[a["friction_step"]] - STEP_ROUNDING)
         if not ratio <= left:
             raise CoreError("cap")
-        n = max(1, ratio)
+        n = max(1, int(ratio))
         for i in range(1, n + 1):
             a["step"](self.v, length / n, x)
             self._accept(begin + length * (i / n), x)

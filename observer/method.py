@@ -68,12 +68,12 @@ class Workshop:
         rows, columns = value.shape
         entries = {f"{name}_{i}_{j}": value[i, j] for i in range(rows) for j in range(columns)}
         symbols = self._system.constant(entries)
-        return ca.reshape(ca.vertcat(*(symbols[entry] for entry in entries)), columns, rows).T
+        return SX(ca.reshape(ca.vertcat(*(symbols[entry] for entry in entries)), columns, rows).T)
 
 
 @dataclass(frozen=True)
 class Method:
-    """An observer by name; `reads` is the one output it uses, y_v or y_theta; `estimates` are its parameters."""
+    """An observer by name; `reads` is the one output it uses, y_v or y_theta."""
 
     name: str
     description: str
@@ -92,7 +92,7 @@ def vector_states(name: str, unit: str, description: str, count: int, initial: o
 def stack(p: Namespace, name: str, rows: int, columns: int = 1) -> SX:
     """Return the states name0, name1, ... as a matrix, filled row by row."""
     flat = ca.vertcat(*(p[f"{name}{i}"] for i in range(rows * columns)))
-    return ca.reshape(flat, columns, rows).T if columns > 1 else flat
+    return SX(ca.reshape(flat, columns, rows).T) if columns > 1 else SX(flat)
 
 
 def unstack(name: str, values: SX) -> dict[str, SX]:

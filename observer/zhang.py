@@ -154,7 +154,7 @@ def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -
 
 def matrix_gain(p: Namespace) -> SX:
     """Return the diagonal of S."""
-    return p.gain * ca.vertcat(*(p[f"{name}_scale"] ** 2 for name in NAMES))
+    return SX(p.gain * ca.vertcat(*(p[f"{name}_scale"] ** 2 for name in NAMES)))
 
 
 def averaging_weight(p: Namespace, period: SX) -> SX:

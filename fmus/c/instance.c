@@ -187,7 +187,7 @@ int event_mode(Instance *s, const char *who)
 
 static int refuse_access(const Instance *s, const char *who, unsigned vr, unsigned type)
 {
-    if (vr >= N_V || !(ACCESS[vr] & (REAL | ENUMERATION | BOOLEAN))) return refuse(s, who, "no variable has value reference %u", vr);
+    if (vr >= N_V || !ACCESS[vr]) return refuse(s, who, "no variable has value reference %u", vr);
     if (!(ACCESS[vr] & type)) return refuse(s, who, "%s is of another type", NAME[vr]);
     if (!(ACCESS[vr] & (SET_EARLY | SET_LATE))) return refuse(s, who, "%s is computed and cannot be set", NAME[vr]);
     return refuse(s, who, "%s is a fixed parameter; set it before initialization ends", NAME[vr]);
@@ -442,7 +442,8 @@ int state_serialise(Instance *s, const char *who, void *handle, void *bytes, siz
     const Situation *state = find_state(handle);
     if (require_pointer(s, who, bytes)) return ERROR;
     if (!state) return refuse_state(s, who);
-    if (size != STATE_SIZE) return refuse(s, who, "the state has %lu bytes, not %lu", (unsigned long)STATE_SIZE, (unsigned long)size);
+    if (size != STATE_SIZE)
+        return refuse(s, who, "the state has %lu bytes, not %lu", (unsigned long)STATE_SIZE, (unsigned long)size);
     const Header header = header_of(state);
     memcpy(bytes, &header, sizeof header);
     memcpy((char *)bytes + sizeof header, state, sizeof *state);
@@ -503,7 +504,8 @@ int set_states(Instance *s, const char *who, const double x[], size_t n)
 {
     if (require_states(s, who, x, n) || require_mode(s, who, CONTINUOUS)) return ERROR;
     for (size_t i = 0; i < n; i++)
-        if (!(fabs(x[i]) <= DBL_MAX)) return refuse(s, who, "%s = %g: a state must be finite", NAME[variant_of(s)->states[i]], x[i]);
+        if (!(fabs(x[i]) <= DBL_MAX))
+            return refuse(s, who, "%s = %g: a state must be finite", NAME[variant_of(s)->states[i]], x[i]);
     for (size_t i = 0; i < n; i++) s->now.core.v[variant_of(s)->states[i]] = x[i];
     s->now.stale |= SET_LATE;
     return OK;

@@ -236,6 +236,13 @@ def test_the_license_is_that_of_the_project(built):
     assert (built("plant").folder / "documentation" / "licenses" / "license.txt").read_text(encoding="utf-8") == text
 
 
+def test_borrowed_files_keep_their_licences(built):
+    assert "MIT License" in (built("plant", kind="python").folder / "documentation/licenses/pythonfmu.txt").read_text(
+        encoding="utf-8"
+    )
+    assert "2-Clause BSD License" in (built("plant").folder / "sources/fmi2Functions.h").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("case", [*WHOLE, ("plant", {"kind": "python"})], ids=identity)
 def test_documentation_names_every_variable(built, case):
     fmu = built(case[0], **case[1])

@@ -79,6 +79,7 @@ FAULTS = {"none": "", "error": "return 3;", "abort": "abort();", "segfault": "*(
 @pytest.fixture(scope="session")
 def tiny_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Return a maker of foreign plant FMUs: fault, and what is wrong with the description."""
+    from fmpy import platform, sharedLibraryExtension
     from fmpy.fmi2 import FMU2Slave
 
     names = {name for name in dir(FMU2Slave) if name.startswith("fmi2") and "Callback" not in name}
@@ -92,7 +93,7 @@ def tiny_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("modelDescription.xml", XML.format(identifier=identifier, unit=unit, v=v))
             if binary:
-                archive.write(library, f"binaries/linux64/{identifier.split('/')[-1]}.so")
+                archive.write(library, f"binaries/{platform}/{identifier.split('/')[-1]}{sharedLibraryExtension}")
         return path
 
     return make
