@@ -23,9 +23,9 @@ POINTS = 1200  # of a curve
 CLOUD = 5000  # of a scatter
 LOOPS, NEAR = 5.0, 30.0  # s and deg/s of the friction loops near rest
 WINDOW = 10.0  # s of signals that are shown
-SYMBOLS = {
-    "alpha2": "$\\alpha_2$", "b": "$b$", "Fc": "$F_c$", "sigma0": "$\\sigma_0$", "sigma1": "$\\sigma_1$",
-    "sigma2": "$\\sigma_2$", "c": "$c$", "tau": "$\\tau$",
+MARGINS = (0.62, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
+SYMBOLS = {  # plain characters: setting mathematics would cost as much as a figure
+    "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
 }  # fmt: skip
 NAMES = {
     "model": "observer's model",
@@ -40,7 +40,7 @@ STYLE: Any = {
     "axes.titlesize": 9.5, "axes.titlelocation": "left", "axes.linewidth": 0.8, "axes.grid": True, "axes.axisbelow": True,
     "grid.color": "#e6e8ec", "grid.linewidth": 0.7, "xtick.color": INK, "ytick.color": INK, "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5, "lines.linewidth": 1.4, "lines.solid_joinstyle": "round", "legend.frameon": False,
-    "legend.fontsize": 8.5, "mathtext.fontset": "dejavusans", "svg.hashsalt": "bristle", "path.simplify": True,
+    "legend.fontsize": 8.5, "svg.hashsalt": "bristle", "path.simplify": True,
 }  # fmt: skip
 
 
@@ -81,9 +81,28 @@ def _figure(width: float, height: float) -> Any:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height))
     FigureCanvasSVG(figure)
+    # fixed margins in inches: a layout engine would measure every label twice
+    left, right, bottom, top = MARGINS
+    figure.subplots_adjust(left / width, bottom / height, 1 - right / width, 1 - top / height)
     return figure
+
+
+def _title(ax: Any, text: str, **style: Any) -> None:
+    """Set a title at a fixed height, which spares measuring what lies below it."""
+    ax.set_title(text, y=1.0, pad=5, **style)
+
+
+def _labels(ax: Any, x: str | None = None, y: str | None = None) -> None:
+    """Name the axes, the labels at fixed distances in inches."""
+    width, height = (size * share for size, share in zip(ax.figure.get_size_inches(), ax.get_position().size, strict=True))
+    if x is not None:
+        ax.set_xlabel(x)
+        ax.xaxis.set_label_coords(0.5, -0.34 / height)
+    if y is not None:
+        ax.set_ylabel(y)
+        ax.yaxis.set_label_coords(-0.44 / width, 0.5)
 
 
 def draw(pictures: Pictures) -> dict[str, str]:
@@ -117,12 +136,13 @@ def _estimates(pictures: Pictures) -> Any:
     rows = -(-len(names) // columns)
     figure = _figure(11.0, 2.15 * rows + 0.35)
     axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False)).ravel()
+    figure.subplots_adjust(wspace=0.24, hspace=0.42)
     for ax, name in zip(axes, names, strict=False):
         _estimate(ax, pictures, name)
     for ax in axes[len(names) :]:
         ax.set_visible(False)
     for ax in axes[max(0, len(names) - columns) : len(names)]:
-        ax.set_xlabel("time, s")
+        _labels(ax, x="time, s")
         ax.tick_params(labelbottom=True)
     return figure
 
@@ -132,7 +152,7 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     index = _thin(len(hat))
     time = pictures.time[index]
     unit = _unit(facts["unit"])
-    ax.set_title(f"{SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
+    _title(ax, f"{SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
     true = pictures.true.get(name)
     if true is not None:
         level = true[index]
@@ -146,7 +166,7 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
         ax.axvline(settled, color=GREEN, linewidth=1.0, linestyle=":")
     if error is not None and math.isfinite(error):
         when = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
-        ax.set_title(f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= BAND else RED)
+        _title(ax, f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= BAND else RED)
 
 
 def _limits(ax: Any, hat: Array, true: Array) -> None:
@@ -185,12 +205,11 @@ def _signals(pictures: Pictures) -> Any:
             style: dict[str, Any] = {"linestyle": (0, (3, 2)), "linewidth": 1.2} if key == "v_hat" else {}
             style |= {"linewidth": 0.9} if key == "reference" else {}
             top.plot(time, signals[key][index] * DEGREES, color=colour, label=label, **style)
-    top.set_ylabel("velocity, deg/s")
-    top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.14))
+    _labels(top, y="velocity, deg/s")
+    top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.16))
     if "u" in signals:
         bottom.plot(time, signals["u"][index], color=INK, linewidth=1.0)
-    bottom.set_ylabel("voltage, V")
-    bottom.set_xlabel("time, s")
+    _labels(bottom, x="time, s", y="voltage, V")
     bottom.set_xlim(time[0], time[-1])
     return figure
 
@@ -215,13 +234,13 @@ def _friction(pictures: Pictures) -> Any:
         last = slice(-round(LOOPS / pictures.step), None)
         line = {"linewidth": 2.6, "color": PALE} if colour == PALE else {"linewidth": 0.9, "color": BLUE}
         near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * NEAR, force[last], np.nan), **line)
-    wide.set_ylabel("friction over inertia, rad/s²")
-    wide.set_title("whole range")
-    near.set_title(f"near rest, the last {LOOPS:g} s: presliding loops")
+    _labels(wide, y="friction over inertia, rad/s²")
+    _title(wide, "whole range")
+    _title(near, f"near rest, the last {LOOPS:g} s: presliding loops")
     near.set_xlim(-NEAR, NEAR)
     wide.legend(loc="upper left", markerscale=3)
     for ax in (wide, near):
-        ax.set_xlabel("velocity, deg/s")
+        _labels(ax, x="velocity, deg/s")
     return figure
 
 
@@ -248,10 +267,9 @@ def _validation(pictures: Pictures) -> Any:
     if "model" in found.predictions:
         top.plot(time, found.predictions["model"][index] * DEGREES, color=BLUE, linestyle=(0, (3, 2)), label=NAMES["model"])
     top.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
-    top.set_ylabel("velocity, deg/s")
+    _labels(top, y="velocity, deg/s")
     top.tick_params(labelbottom=False)
-    low.set_ylabel("error, deg/s")
-    low.set_xlabel("time, s (second record, open loop)")
+    _labels(low, x="time, s (second record, open loop)", y="error, deg/s")
     low.set_xlim(time[0], time[-1])
     _bars(bars, found.scores)
     return figure
@@ -261,7 +279,7 @@ def _bars(ax: Any, scores: Mapping[str, float]) -> None:
     shown = [
         (name, scores[name]) for name in ("model", "floor", "coulomb", "linear") if name in scores and math.isfinite(scores[name])
     ]
-    ax.set_title("MSE, % of variance (log scale)")
+    _title(ax, "MSE, % of variance (log scale)")
     ax.grid(axis="y", visible=False)
     if not shown:
         ax.text(0.5, 0.5, "no model could be scored", ha="center", transform=ax.transAxes, color=GREY)

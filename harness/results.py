@@ -42,9 +42,9 @@ def to_json(result: Mapping[str, Any]) -> str:
 
 def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
     """Return signals.csv: first column time, numbers only (nan where there is none); thinned unless `full`."""
-    table = np.column_stack(list(columns.values()))
-    if not full and len(table) > ROWS:
-        table = table[np.unique(np.linspace(0, len(table) - 1, ROWS).round().astype(int))]
+    rows = len(next(iter(columns.values())))
+    kept = np.arange(rows) if full else np.unique(np.linspace(0, rows - 1, min(rows, ROWS)).round().astype(int))
+    table = np.column_stack([column[kept] for column in columns.values()])
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(columns)
     np.savetxt(out, table, fmt="%.10g", delimiter=",")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -85,6 +86,7 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
         setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))
         lean = lean_fmus() if setup.scenario.validation is not None else {}
         identification_bus = identification(setup)
+    Thread(target=_load_drawing, daemon=True).start()
     with clock.stage("co-simulation"):
         trace = _simulate(identification_bus, lambda done: tell("co-simulation", done, setup.steps))
     with clock.stage("metrics"):
@@ -101,6 +103,12 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
         tell("report", 0, 0)
         files = _files(setup, result, view, validated, clock, options.full)
     return Run(result, results.write(out, loaded.name, files))
+
+
+def _load_drawing() -> None:
+    """Import what the report needs while the compiled loop runs, which does not need the interpreter."""
+    import matplotlib.backends.backend_svg
+    import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
 
 
 def _simulate(bus: Bus, progress: Callable[[int], None] | None = None) -> Trace:

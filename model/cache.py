@@ -25,8 +25,12 @@ def cache_folder() -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BristleError(f"cache folder {folder}: {error.strerror}; set BRISTLE_CACHE to a folder you can write") from None
+        raise _unusable(folder, error) from None
     return folder
+
+
+def _unusable(folder: Path, error: OSError) -> BristleError:
+    return BristleError(f"cache folder {folder}: {error.strerror}; set BRISTLE_CACHE to a folder you can write")
 
 
 def digest(*parts: str | bytes) -> str:
@@ -41,9 +45,12 @@ def digest(*parts: str | bytes) -> str:
 def cached(name: str, make: Callable[[Path], None]) -> Path:
     """Return the cached file `name`, made by `make(path)` if it is not there; a half-made file is never seen."""
     target = cache_folder() / name
-    if not target.exists():
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".making-") as folder:
-            fresh = Path(folder) / target.name
-            make(fresh)
-            os.replace(fresh, target)
+    try:
+        if not target.exists():
+            with tempfile.TemporaryDirectory(dir=target.parent, prefix=".making-") as folder:
+                fresh = Path(folder) / target.name
+                make(fresh)
+                os.replace(fresh, target)
+    except OSError as error:
+        raise _unusable(target.parent, error) from None
     return target

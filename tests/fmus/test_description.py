@@ -237,10 +237,9 @@ def test_the_license_is_that_of_the_project(built):
 
 
 def test_borrowed_files_keep_their_licences(built):
-    assert "MIT License" in (built("plant", kind="python").folder / "documentation/licenses/pythonfmu.txt").read_text(
-        encoding="utf-8"
-    )
-    assert "2-Clause BSD License" in (built("plant").folder / "sources/fmi2Functions.h").read_text(encoding="utf-8")
+    python, native = built("plant", kind="python").folder, built("plant").folder
+    assert "MIT License" in (python / "documentation" / "licenses" / "pythonfmu.txt").read_text(encoding="utf-8")
+    assert "2-Clause BSD License" in (native / "sources" / "fmi2Functions.h").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("case", [*WHOLE, ("plant", {"kind": "python"})], ids=identity)

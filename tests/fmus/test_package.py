@@ -135,9 +135,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["x.fmu"]
 
 
-def test_what_is_there_is_not_built_again(built):
+def test_what_is_there_is_not_built_again():
     """A second `obtain` imports nothing symbolic, starts no compiler, and is quick; time of a whole process included."""
-    paths = {what: str(built(what).path) for what in ("plant", "observer", "controller")}
+    paths = {what: str(obtain(what)) for what in ("plant", "observer", "controller")}
     code = """
 import subprocess, sys, time
 def never(*a, **k): raise AssertionError("a process was started")
@@ -155,7 +155,7 @@ print(time.perf_counter() - begun, *paths, sep="\\n")
     assert float(seconds) < 0.5
 
 
-def test_a_changed_source_is_another_fmu(monkeypatch, built):
+def test_a_changed_source_is_another_fmu(monkeypatch):
     """The key covers what the FMU is made from: another compiler or source, another file."""
     module = importlib.import_module("bristle.fmus.build")  # the name in the package is the function
 
