@@ -99,7 +99,7 @@ def _labels(ax: Any, x: str | None = None, y: str | None = None) -> None:
     width, height = (size * share for size, share in zip(ax.figure.get_size_inches(), ax.get_position().size, strict=True))
     if x is not None:
         ax.set_xlabel(x)
-        ax.xaxis.set_label_coords(0.5, -0.34 / height)
+        ax.xaxis.set_label_coords(0.5, -0.31 / height)
     if y is not None:
         ax.set_ylabel(y)
         ax.yaxis.set_label_coords(-0.44 / width, 0.5)

@@ -53,6 +53,17 @@ def test_the_right_model_is_found_exactly() -> None:
     assert found.at_bound == []
 
 
+def test_a_record_of_position_is_fitted_by_its_increments() -> None:
+    """Encoder counts: the fit is as good although single increments are as coarse as the friction's details."""
+    values = {"b": 0.0065, "a2": 0.002, "coulomb.Fc": 0.004}
+    u = voltage(1)
+    unit = Instance("p", Fmu(obtain("plant", law="coulomb")), values)
+    v_enc = simulate(Bus((unit,), len(u) - 1, H, series={("p", "u"): u[:-1]}, record=(("p", "v_enc"),)))["p", "v_enc"]
+    with LeanModel("coulomb", Fmu(obtain("plant", law="coulomb"))) as model:
+        found = fit(model, Data(u, v_enc, H, increments=True))
+    assert found.parameters == pytest.approx({"b": 6.5, "a2": 2.0, "coulomb.Fc": 4.0}, rel=0.01)
+
+
 def test_floor_finds_set_r_and_says_tau_vanishes() -> None:
     u, v = record("modified", SET_R)
     data = Data(u, v, H)

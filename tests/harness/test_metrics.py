@@ -57,6 +57,14 @@ def test_a_bad_end_gives_no_error_and_no_settling(bad: float) -> None:
     assert not found["valid"]
 
 
+def test_an_error_that_is_not_a_number_is_outside_every_band() -> None:
+    error = np.zeros(1001)
+    error[500] = math.nan
+    assert metrics.settling(TIME, error) == pytest.approx(5.0)
+    error[-1] = math.nan
+    assert math.isnan(metrics.settling(TIME, error))
+
+
 def test_not_valid_counts_as_an_error_without_bound() -> None:
     valid = (TIME < 5.0).astype(float)
     found = metrics.estimate(TIME, TRUE.copy(), valid, TRUE, "1")
