@@ -161,10 +161,10 @@ def _report(done: Run, seconds: float) -> None:
 
 
 @contextmanager
-def _progress(name: str) -> Iterator[Callable[[str, int, int], None] | None]:
+def _progress(name: str) -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar while a person looks on."""
     if not sys.stderr.isatty():
-        yield None
+        yield lambda stage, done, total: _check_interrupt()
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -181,6 +181,7 @@ def _progress(name: str) -> Iterator[Callable[[str, int, int], None] | None]:
         stages = ["starting"]
 
         def tell(stage: str, done: int, total: int) -> None:
+            _check_interrupt()
             if stage != stages[-1]:
                 bar.remove_task(current.pop())
                 current.append(bar.add_task(stage, name=name, total=total or None))
@@ -193,11 +194,21 @@ def _progress(name: str) -> Iterator[Callable[[str, int, int], None] | None]:
 # -- entry -----------------------------------------------------------------------------------------------------------
 
 
+_interrupts: list[int] = []
+
+
 def _interrupt(number: int, _frame: object) -> None:
     """Raise once; what comes after that lets the clean-up finish."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
+    _interrupts.append(number)
     raise Interrupted(number)
+
+
+def _check_interrupt() -> None:
+    """Raise again what was lost because it struck in a finaliser or a callback from C, where Python drops exceptions."""
+    if _interrupts:
+        raise Interrupted(_interrupts[0])
 
 
 def main() -> None:
