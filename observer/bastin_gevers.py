@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.method import Method, Sample, Update, Workshop
 
 SX = ca.SX
 DEGREE = math.pi / 180.0
 EQUATION = "bastin1988 eq. (3); dixit2008 eq. (3) and (23)"
-NAMES = {"alpha2": "1/s", "b": "rad/(s2.V)", "Fc": "rad/s2"}
+NAMES = units("alpha2", "b", "Fc")
 
 
 @dataclass(frozen=True)

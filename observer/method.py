@@ -8,21 +8,12 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
+from bristle.model.normalised import NORMALISED
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Namespace, Parameter, State, Variable
 
 SX = ca.SX
 
-ESTIMATES = {
-    "alpha2": ("1/s", "viscous friction over inertia"),
-    "b": ("rad/(s2.V)", "drive gain over inertia"),
-    "Fc": ("rad/s2", "Coulomb friction over inertia"),
-    "sigma0": ("1/s2", "stiffness over inertia"),
-    "sigma1": ("1/s2", "weight of basis function 1"),
-    "sigma2": ("1/s2", "weight of basis function 2"),
-    "c": ("1/rad", "inverse presliding distance"),
-    "tau": ("s", "bristle damping over stiffness"),
-}
 SIGNALS = {
     "theta": ("rad", "position"),
     "v": ("rad/s", "velocity"),
@@ -145,7 +136,7 @@ def _publish(system: System, method: Method, update: Update, started: SX, period
     for name, (unit, description) in SIGNALS.items():
         value = update.signals.get(name, SX(math.nan))
         system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), value)
-    for name, (unit, description) in ESTIMATES.items():
+    for name, (unit, description) in NORMALISED.items():
         value = update.estimates.get(name, SX(math.nan))
         valid = update.valid.get(name, SX(1.0 if name in update.estimates else 0.0))
         system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), value)

@@ -6,12 +6,13 @@ import math
 
 import casadi as ca
 
+from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
 
 SX = ca.SX
 EQUATION = "ljung1999 section 11.2; dixit2008 eq. (23)"
-NAMES = {"alpha2": "1/s", "b": "rad/(s2.V)", "Fc": "rad/s2"}
+NAMES = units("alpha2", "b", "Fc")
 
 
 def fit(p: Namespace, s: Sample) -> dict[str, SX]:

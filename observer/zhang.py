@@ -15,12 +15,13 @@ import casadi as ca
 
 from bristle.model.basis import gaussian
 from bristle.model.linear import expm
+from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.method import Workshop, stack, unstack, vector_states
 
 SX = ca.SX
 EQUATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
-NAMES = {"sigma0": "1/s2", "sigma1": "1/s2", "sigma2": "1/s2", "c": "1/rad"}
+NAMES = units("sigma0", "sigma1", "sigma2", "c")
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from bristle.model.normalised import NORMALISED
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Parameter, State, Variable
@@ -24,16 +25,6 @@ THETA_START = Parameter("theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "positio
 V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e6, 1e6, "velocity at the start", "dixit2008 eq. (7)")
 COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
 
-NORMALISED = {
-    "alpha2": ("1/s", "viscous friction over inertia"),
-    "b": ("rad/(s2.V)", "drive gain over inertia"),
-    "Fc": ("rad/s2", "Coulomb friction over inertia"),
-    "sigma0": ("1/s2", "stiffness over inertia"),
-    "sigma1": ("1/s2", "weight of basis function 1"),
-    "sigma2": ("1/s2", "weight of basis function 2"),
-    "c": ("1/rad", "inverse presliding distance"),
-    "tau": ("s", "bristle damping over stiffness"),
-}
 
 
 def servo(law: FrictionLaw, encoder: bool = True) -> System:

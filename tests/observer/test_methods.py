@@ -9,8 +9,8 @@ import pytest
 
 from bristle.model.errors import BristleError
 from bristle.model.native import Native
+from bristle.model.normalised import NORMALISED
 from bristle.observer import methods, observer_program
-from bristle.observer.method import ESTIMATES
 from bristle.plant.servo import servo_program
 
 STEP = 1e-3
@@ -80,7 +80,7 @@ def test_a_shift_of_the_input_by_one_sample_is_seen(method, names):
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_method_reads_only_its_declared_output(method):
     data = record(5.0)
-    names = tuple(ESTIMATES)
+    names = tuple(NORMALISED)
     unread = ({"y_v", "y_theta"} - {methods()[method].reads}).pop()
     garbled = data | {unread: np.random.default_rng(0).standard_normal(len(data["u"]))}
     np.testing.assert_array_equal(observe(method, data, names), observe(method, garbled, names))
@@ -91,12 +91,12 @@ def test_method_reads_only_its_declared_output(method):
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_what_is_not_estimated_is_nan_and_not_valid(method):
     instance = Native(observer_program(method))
-    record_names = [f"{name}_{what}" for name in ESTIMATES for what in ("hat", "valid")]
+    record_names = [f"{name}_{what}" for name in NORMALISED for what in ("hat", "valid")]
     out, _ = instance.run(STEP, record(0.1), record_names)
     values = dict(zip(record_names, out[-1], strict=True))
-    published = [name for name in ESTIMATES if np.isfinite(values[f"{name}_hat"])]
+    published = [name for name in NORMALISED if np.isfinite(values[f"{name}_hat"])]
     assert published
-    for name in ESTIMATES:
+    for name in NORMALISED:
         if name not in published:
             assert values[f"{name}_valid"] == 0.0
 

@@ -1,0 +1,19 @@
+"""The normalised parameters of a servo: what an observer estimates and what a plant says is true."""
+
+from __future__ import annotations
+
+NORMALISED = {  # name: (unit, meaning)
+    "alpha2": ("1/s", "viscous friction over inertia"),
+    "b": ("rad/(s2.V)", "drive gain over inertia"),
+    "Fc": ("rad/s2", "Coulomb friction over inertia"),
+    "sigma0": ("1/s2", "stiffness over inertia"),
+    "sigma1": ("1/s2", "weight of basis function 1"),
+    "sigma2": ("1/s2", "weight of basis function 2"),
+    "c": ("1/rad", "inverse presliding distance"),
+    "tau": ("s", "bristle damping over stiffness"),
+}
+
+
+def units(*names: str) -> dict[str, str]:
+    """Return name -> unit of some of them."""
+    return {name: NORMALISED[name][0] for name in names}
