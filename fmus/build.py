@@ -97,15 +97,16 @@ def _compiler() -> str:
     return f"{command} {status.st_size} {status.st_mtime_ns}"
 
 
-def _key(*arguments: object) -> str:
+def _key(kind: str, *arguments: object) -> str:
     sources = [part for name in INGREDIENTS for part in _sources(name)]
-    return digest(*sources, *(version(name) for name in LIBRARIES), *FLAGS, _compiler(), repr(arguments))
+    made_by = (*FLAGS, _compiler()) if kind == "native" else ()
+    return digest(*sources, *(version(name) for name in LIBRARIES), *made_by, repr((kind, *arguments)))
 
 
 def obtain(what: str, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None) -> Path:
     """Return the FMU as a file of the cache, built only if it is not there; arguments as of `build`."""
     variant = _check(what, fmi, kind, law, method)
-    key = _key(what, fmi, kind, variant)
+    key = _key(kind, what, fmi, variant)
     name = "-".join([what, *([variant] if variant else []), f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:

@@ -76,9 +76,15 @@ class LeanModel:
         self.law, self.free, self.fmu = law, FREE[law], fmu
         self._fixed = {"J": 1.0, "u_max": UNBOUNDED_U}
         names = [*self.free, *self._fixed, "v_start"]
-        self._drives = [Drive(fmu, ["u"], ["theta", "v"], names) for _ in range(THREADS)]
+        self._drives: list[Drive] = []
         self._pool = ThreadPoolExecutor(THREADS)
         self.runs = 0
+        try:
+            for _ in range(THREADS):
+                self._drives.append(Drive(fmu, ["u"], ["theta", "v"], names))
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Stop what is running and free the FMUs."""

@@ -7,7 +7,6 @@ import ctypes
 import hashlib
 import math
 import re
-import shutil
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -243,7 +242,9 @@ class Slave:
 
     def __init__(self, fmu: Fmu, name: str) -> None:
         self.fmu, self.name = fmu, name
-        self._folder = tempfile.mkdtemp(prefix="bristle-fmu-")
+        # it removes itself at the interpreter's end even if an interrupt strikes where nobody can close it
+        self._temporary = tempfile.TemporaryDirectory(prefix="bristle-fmu-", ignore_cleanup_errors=True)
+        self._folder = self._temporary.name
         self.instance: Any = None
         try:
             self._load()
@@ -301,7 +302,7 @@ class Slave:
                 loaded.freeInstance()
             else:
                 loaded.freeLibrary()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._temporary.cleanup()
 
     def __enter__(self) -> Slave:
         return self

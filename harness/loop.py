@@ -218,11 +218,11 @@ class Session:
         self.control = np.zeros(2, dtype=np.int64) if control is None else control
         try:
             self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
+            self.values = np.empty((bus.steps + 1, len(bus.record)))
+            self.flags = [(0, self._read_flags())]
         except BaseException:
             self.close()
             raise
-        self.values = np.empty((bus.steps + 1, len(bus.record)))
-        self.flags = [(0, self._read_flags())]
 
     def _node(self, instance: Instance) -> Node:
         bus, name = self.bus, instance.name
@@ -383,14 +383,17 @@ class Drive:
 
     def __init__(self, fmu: Fmu, inputs: Sequence[str], outputs: Sequence[str], parameters: Sequence[str]) -> None:
         self._slave = Slave(fmu, "drive")
-        self._node = Node(self._slave, inputs, outputs)
-        self._slave.initialise({})
-        self._unit = self._node.structure()
-        address = self._slave.address
-        functions = ("fmi2Reset", "fmi2SetupExperiment", "fmi2EnterInitializationMode", "fmi2ExitInitializationMode")
-        self._lifecycle = _Lifecycle(*map(address, functions))
-        self._vr = np.array([fmu.reference(name) for name in parameters], dtype=np.uint32)
         self.control = np.zeros(2, dtype=np.int64)
+        try:
+            self._node = Node(self._slave, inputs, outputs)
+            self._slave.initialise({})
+            self._unit = self._node.structure()
+            functions = ("fmi2Reset", "fmi2SetupExperiment", "fmi2EnterInitializationMode", "fmi2ExitInitializationMode")
+            self._lifecycle = _Lifecycle(*map(self._slave.address, functions))
+            self._vr = np.array([fmu.reference(name) for name in parameters], dtype=np.uint32)
+        except BaseException:
+            self.close()
+            raise
 
     def run(self, series: Array, sets: Array, h: float) -> Array:
         """Return the outputs, shape (sets, steps + 1, outputs), for input `series` of shape (steps, inputs).

@@ -63,7 +63,8 @@ def compile_shared(sources: Mapping[str, str], out: Path, *, include: Sequence[P
         options = [*FLAGS, *(f"-D{d}" for d in define), *(f"-I{path}" for path in include), "-I."]
         link = ["-shared", "-s", *([] if sys.platform in ("win32", "darwin") else ["-Wl,--build-id=none", "-lm"])]
         command = [*find_compiler(), *options, *units, *link, "-o", "result"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        inside = os.environ | {"TMPDIR": str(folder.resolve())}  # so that nothing is left elsewhere if we are interrupted
+        done = subprocess.run(command, cwd=folder, env=inside, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             complaint = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip() or "no message")
             raise BristleError(f"C compiler {command[0]} failed: {complaint.strip()}; check the compiler or set CC")
