@@ -1,4 +1,4 @@
-"""The search for one matrix gain of step 2 that serves sets S and R and contains neither's truth (docs/gains.md).
+"""The search for one setting of both steps that serves sets S and R and contains neither's truth (docs/gains.md).
 
     python benchmarks/gains.py            # prints the tables of docs/gains.md
 """
@@ -14,7 +14,10 @@ from records import STEP, TRUE, record
 from bristle.model.native import Native
 from bristle.observer import observer_program
 
+STEP1 = ("alpha2", "b", "Fc")
 STEP2 = ("sigma0", "sigma1", "sigma2", "c")
+GATES = (75.0, 85.0, 100.0)  # deg/s
+GAMMAS = ((100.0, 100.0, 200.0), (200.0, 200.0, 400.0), (400.0, 400.0, 800.0), (1000.0, 1000.0, 2000.0))
 SCALES = {
     "600, 800, 300, 150 (S's truth)": (600.0, 800.0, 300.0, 150.0),
     "300, 300, 300, 100": (300.0, 300.0, 300.0, 100.0),
@@ -34,31 +37,36 @@ STARTS = {
 }
 
 
-def worst(parameters: Mapping[str, float], seeds: Sequence[int]) -> tuple[float, float]:
-    """Return (largest error at 100 s in %, last time an error exceeds 5 %) over S, R, both orders and all seeds."""
+def worst(method: str, names: Sequence[str], seconds: float, given: Mapping[str, float], seeds: Sequence[int]) -> str:
+    """Return "largest error at the end in % / last time an error exceeds 5 %" over S, R, both orders and all seeds."""
     error, settling = 0.0, 0.0
-    program = observer_program("besancon")
-    given = {f"besancon.{name}": value for name, value in ({"alpha2": 2.0, "b": 6.5} | dict(parameters)).items()}
+    program = observer_program(method)
+    parameters = {f"{method}.{name}": value for name, value in given.items()}
     for plant, truth in TRUE.items():
         for order in (1, 2):
             for seed in seeds:
-                data = record(plant, order, seed, 100.0)
-                out, _ = Native(program, given).run(STEP, {n: data[n] for n in ("u", "y_v")}, [f"{n}_hat" for n in STEP2])
-                off = 100.0 * np.abs(out[1:] / [truth[n] for n in STEP2] - 1.0)
+                data = record(plant, order, seed, seconds)
+                out, _ = Native(program, parameters).run(STEP, {n: data[n] for n in ("u", "y_v")}, [f"{n}_hat" for n in names])
+                off = 100.0 * np.abs(out[1:] / [truth[n] for n in names] - 1.0)
                 late = np.flatnonzero(~(off.max(axis=1) <= 5.0))
                 error = max(error, float(off[-1].max()))
                 settling = max(settling, (late[-1] + 1) * STEP if len(late) else 0.0)
-    return error, settling
-
-
-def cell(parameters: Mapping[str, float], seeds: Sequence[int]) -> str:
-    """Return the two numbers as a table cell."""
-    error, settling = worst(parameters, seeds)
     return f"{error:.2f} / {settling:.0f}"
 
 
+def cell(given: Mapping[str, float], seeds: Sequence[int]) -> str:
+    """Return a cell of the tables of step 2, with alpha2 and b known."""
+    return worst("besancon", STEP2, 100.0, {"alpha2": 2.0, "b": 6.5} | dict(given), seeds)
+
+
+def step1(gate: float, gamma: Sequence[float], seeds: Sequence[int]) -> str:
+    """Return a cell of the table of step 1."""
+    gains = {f"gamma{i}": value for i, value in enumerate(gamma, start=1)}
+    return worst("bastin_gevers", STEP1, 200.0, {"vc": np.deg2rad(gate)} | gains, seeds)
+
+
 def main() -> None:
-    """Print the three tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
     seeds = range(1, parser.parse_args().seeds + 1)
@@ -74,6 +82,11 @@ def main() -> None:
     for name, starts in STARTS.items():
         start = {f"{n}_start": value for n, value in zip(STEP2, starts, strict=True)}
         print(f"| {name} | {cell(start, seeds)} |", flush=True)
+    print(f"\n| Gamma of step 1 | {' | '.join(f'gate {gate:g} deg/s' for gate in GATES)} |\n|---|{'---|' * len(GATES)}")
+    for gamma in GAMMAS:
+        name = ", ".join(f"{value:g}" for value in gamma)
+        print(f"| {name} | {' | '.join(step1(gate, gamma, seeds) for gate in GATES)} |", flush=True)
+
 
 
 if __name__ == "__main__":

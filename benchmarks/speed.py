@@ -24,7 +24,7 @@ from bristle.fmus.controller.definition import program as controller_program
 from bristle.harness.fmu import Fmu
 from bristle.harness.loop import Bus, Instance, Session
 from bristle.model.cache import cached, digest
-from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, find_compiler
+from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.sources import c_sources
@@ -65,7 +65,7 @@ def plain_library(parts: dict[str, tuple[Program, str]]) -> ctypes.CDLL:
             sources[f"{name}_{unit}.c"] = body
         sources[f"{name}_core.h"] = text["core.h"].replace("model.h", f"{name}_model.h")
         sources[f"{name}_model.h"] = text["model.h"]
-    key = digest(*FLAGS, *find_compiler(), *(text for pair in sorted(sources.items()) for text in pair))
+    key = digest(*FLAGS, compiler_identity(), *(text for pair in sorted(sources.items()) for text in pair))
     library = ctypes.CDLL(str(cached(f"plain-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out))))
     library.plain_run.restype = ctypes.c_longlong
     return library

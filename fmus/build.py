@@ -6,15 +6,13 @@ Nothing symbolic is imported before it is known that something must be built: `o
 from __future__ import annotations
 
 import importlib
-import os
-import shutil
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bristle.model.cache import cached, digest
-from bristle.model.compiler import FLAGS, find_compiler
+from bristle.model.compiler import FLAGS, compiler_identity
 from bristle.model.errors import BristleError
 
 if TYPE_CHECKING:
@@ -90,16 +88,9 @@ def _sources(package: str) -> list[str | bytes]:
     return [part for path in paths for part in (path.relative_to(folder).as_posix(), path.read_bytes())]
 
 
-def _compiler() -> str:
-    """Return what tells one compiler from another: the command, and size and date of the program behind it."""
-    command = find_compiler()
-    status = os.stat(shutil.which(command[0]) or command[0])
-    return f"{command} {status.st_size} {status.st_mtime_ns}"
-
-
 def _key(kind: str, *arguments: object) -> str:
     sources = [part for name in INGREDIENTS for part in _sources(name)]
-    made_by = (*FLAGS, _compiler()) if kind == "native" else ()
+    made_by = (*FLAGS, compiler_identity()) if kind == "native" else ()
     return digest(*sources, *(version(name) for name in LIBRARIES), *made_by, repr((kind, *arguments)))
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bristle.harness.fmu import Fmu, Slave, Value
 from bristle.model.cache import cached, digest
-from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, find_compiler
+from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
@@ -142,7 +142,7 @@ class _Lifecycle(ctypes.Structure):
 def library() -> ctypes.CDLL:
     """Compile the loop (or take it from the cache) and load it."""
     text = (files("bristle.harness") / "loop.c").read_text(encoding="utf-8")
-    key = digest(text, *FLAGS, *find_compiler())
+    key = digest(text, *FLAGS, compiler_identity())
     loaded = ctypes.CDLL(str(cached(f"loop-{key[:24]}{SUFFIX}", lambda out: compile_shared({"loop.c": text}, out))))
     loaded.loop_run.restype = loaded.loop_drive.restype = ctypes.c_longlong
     return loaded

@@ -17,6 +17,7 @@ from bristle.model.errors import BristleError
 
 # No fused multiply-add: every platform and the Python twin then give the same digits.
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-Wall", "-Wextra", "-Werror")
+TIMEOUT = 600  # s; a first build with zig takes a minute
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
@@ -44,6 +45,26 @@ def find_compiler() -> tuple[str, ...]:
     raise BristleError("no C compiler found (cc, gcc, clang); install one, or run: pip install 'bristle[cross]'")
 
 
+@lru_cache(maxsize=1)
+def compiler_identity() -> str:
+    """Return what tells one compiler from another: the command, and version or size and date of the program behind it."""
+    command = find_compiler()
+    if "ziglang" in command:
+        from importlib.metadata import version
+
+        return f"{command} {version('ziglang')}"
+    status = os.stat(shutil.which(command[0]) or command[0])
+    return f"{command} {status.st_size} {status.st_mtime_ns}"
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """Return the environment of a compilation: nothing is left outside our folders, and zig needs no home."""
+    from bristle.model.cache import cache_folder
+
+    zig = {f"ZIG_{which}_CACHE_DIR": str(cache_folder() / "zig") for which in ("GLOBAL", "LOCAL")}
+    return zig | os.environ | {"TMPDIR": str(folder.resolve())}
+
+
 def compile_shared(sources: Mapping[str, str], out: Path, *, include: Sequence[Path] = (), define: Sequence[str] = ()) -> None:
     """Compile C sources (file name -> text) into the shared library `out`.
 
@@ -57,17 +78,21 @@ def compile_shared(sources: Mapping[str, str], out: Path, *, include: Sequence[P
     folder = out.with_name(out.name + ".build")
     folder.mkdir()
     try:
-        for name, text in sources.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="\n")
-        units = sorted(name for name in sources if name.endswith(".c"))
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
+        units = sorted(file for file in sources if file.endswith(".c"))
         options = [*FLAGS, *(f"-D{d}" for d in define), *(f"-I{path}" for path in include), "-I."]
         link = ["-shared", "-s", *([] if sys.platform in ("win32", "darwin") else ["-Wl,--build-id=none", "-lm"])]
+        name = "zig" if "ziglang" in find_compiler() else find_compiler()[0]
         command = [*find_compiler(), *options, *units, *link, "-o", "result"]
-        inside = os.environ | {"TMPDIR": str(folder.resolve())}  # so that nothing is left elsewhere if we are interrupted
-        done = subprocess.run(command, cwd=folder, env=inside, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=folder, env=_environment(folder), capture_output=True, text=True, check=False, timeout=TIMEOUT
+        )
         if done.returncode != 0:
             complaint = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip() or "no message")
-            raise BristleError(f"C compiler {command[0]} failed: {complaint.strip()}; check the compiler or set CC")
+            raise BristleError(f"C compiler {name} failed: {complaint.strip()}; check the compiler or set CC")
         os.replace(folder / "result", out)
+    except subprocess.TimeoutExpired:
+        raise BristleError(f"C compiler {name} did not end within {TIMEOUT} s; check the compiler or set CC") from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.model.cache import cached, digest
-from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, find_compiler
+from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.errors import BristleError, SimulationError
 from bristle.model.program import Program
 from bristle.model.sources import c_sources
@@ -27,7 +27,7 @@ def compile_program(program: Program) -> ctypes.CDLL:
     """Compile a program (or take it from the cache) and load it."""
     batch = (files("bristle.model") / "c" / "batch.c").read_text(encoding="utf-8")
     sources = c_sources(program) | {"batch.c": batch}
-    key = digest(*FLAGS, *find_compiler(), *(text for pair in sorted(sources.items()) for text in pair))
+    key = digest(*FLAGS, compiler_identity(), *(text for pair in sorted(sources.items()) for text in pair))
     path = cached(f"{program.name}-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out))
     library = ctypes.CDLL(str(path))
     library.batch_run.restype = library.batch_steps.restype = ctypes.c_longlong

@@ -133,14 +133,14 @@ class Core:
         self.steps += n
         return left - n
 
-    def _integrate(self, begin: float, end: float, left: int) -> int:
+    def _integrate(self, begin: float, end: float, whole: float, left: int) -> int:
         a = self.variant
         if a["states"]:
-            parts = math.ceil((end - begin) / self.v[a["max_step"]] - STEP_ROUNDING)
+            parts = math.ceil(whole / self.v[a["max_step"]] - STEP_ROUNDING)
             if not parts <= left:
                 raise CoreError("cap")
             n = max(1, parts)
-            length = (end - begin) / n
+            length = whole / n
             segment = self._segment_fixed if a["friction_step"] >= 0 else self._segment_controlled
             for i in range(n):
                 left = segment(begin + length * i, length, left)
@@ -162,7 +162,7 @@ class Core:
         end = self.v[0] + h
         left = int(self.v[a["max_steps"]]) if a["max_steps"] >= 0 else 1000000
         if a["sample_time"] < 0:
-            self._integrate(self.v[0], end, left)
+            self._integrate(self.v[0], end, h, left)
         else:
             self._advance_sampled(h, end, left)
         self.outputs()
@@ -173,6 +173,7 @@ class Core:
         same = SAME_INSTANT * min(period, h)
         if not h / period <= left:
             raise CoreError("cap")
+        begin = self.v[0]
         while True:
             tick = self.origin + period * self.ticks
             if self.v[0] >= tick - same:
@@ -181,7 +182,8 @@ class Core:
                 self.ticks += 1
                 tick = self.origin + period * self.ticks
             stop = end if tick > end - same else tick
-            left = self._integrate(self.v[0], stop, left)
+            whole = h if self.v[0] == begin and stop == end else stop - self.v[0]
+            left = self._integrate(self.v[0], stop, whole, left)
             if stop >= tick - same and a["after"] is not None:
                 a["after"](self.v, 0.0, None)
             left -= 1

@@ -22,7 +22,7 @@ B = Parameter("b", "b", "N.m/V", 0.0065, -1e6, 1e6, "torque per volt of the driv
 A2 = Parameter("a2", "alpha2", "N.m.s/rad", 0.002, 0.0, 1e6, "viscous friction", "dixit2008 eq. (8)")
 U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage the drive can give", "dixit2008 section IV-A")
 THETA_START = Parameter("theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "position at the start", "dixit2008 eq. (7)")
-V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e6, 1e6, "velocity at the start", "dixit2008 eq. (7)")
+V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e4, 1e4, "velocity at the start", "dixit2008 eq. (7)")
 COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
 
 
@@ -37,9 +37,10 @@ def servo(law: FrictionLaw, encoder: bool = True) -> System:
     theta_start, v_start = system.parameter(THETA_START), system.parameter(V_START)
     for parameter in law.parameters:
         system.parameter(parameter)
-    u = system.input(Variable("u", "V", "voltage asked of the drive"))
-    tau_load = system.input(Variable("tau_load", "N.m", "external torque on the shaft"))
-    load_scale = system.input(Variable("load_scale", "1", "normal load over nominal; scales dry friction", 1.0, minimum=0.0))
+    u = system.input(Variable("u", "V", "voltage asked of the drive", minimum=-1e9, maximum=1e9))
+    tau_load = system.input(Variable("tau_load", "N.m", "external torque on the shaft", minimum=-1e9, maximum=1e9))
+    scale = Variable("load_scale", "1", "normal load over nominal; scales dry friction", 1.0, minimum=0.0, maximum=1e6)
+    load_scale = system.input(scale)
     theta = system.state(State("theta", "rad", "position", initial=theta_start))
     v = system.state(State("v", "rad/s", "velocity", initial=v_start))
     p = system.namespace(f"{law.name}.")

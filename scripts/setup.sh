@@ -22,7 +22,15 @@ extras=$1
 has_compiler || extras="${extras:+$extras,}cross"  # no C compiler on this machine: take zig from PyPI
 
 venv="$root/.venv"
-[ -x "$venv/bin/python" ] || "$(find_python)" -m venv "$venv"
+if ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then  # missing, or left half-made by an interruption
+    rm -rf "$venv"
+    python=$(find_python)
+    if ! "$python" -m venv "$venv"; then
+        rm -rf "$venv"
+        echo "bristle: $python cannot make a virtual environment; install its venv module (Debian: python3-venv)" >&2
+        exit 2
+    fi
+fi
 stamp="$venv/installed-${extras:-core}"
 if [ ! -e "$stamp" ] || [ pyproject.toml -nt "$stamp" ]; then
     echo "installing bristle${extras:+[$extras]} into .venv" >&2

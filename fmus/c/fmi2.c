@@ -46,7 +46,12 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, f
     return STATUS(set_experiment(s, __func__, start, stop_defined, stop));
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) { WITH(s, c, enter_initialisation(s, __func__)); }
+fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+{
+    FIND(s, c);
+    if (!s->now.timed) return STATUS(refuse(s, __func__, "fmi2SetupExperiment has to come first"));
+    return STATUS(enter_initialisation(s, __func__));
+}
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { WITH(s, c, leave_initialisation(s, __func__)); }
 fmi2Status fmi2Terminate(fmi2Component c) { WITH(s, c, change_mode(s, __func__, EVENT | CONTINUOUS | STEP, TERMINATED)); }
 fmi2Status fmi2Reset(fmi2Component c) { WITH(s, c, instance_reset(s)); }

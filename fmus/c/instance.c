@@ -125,6 +125,19 @@ void instance_free(void *handle) { free(handle_drop(handle, HANDLE_INSTANCE)); }
 
 /* -- values computed when they are asked for --------------------------------------------------------------------- */
 
+/* Derivatives and outputs of a smooth model have no reason to be anything but finite; states from outside may be huge. */
+static int refuse_infinite(const Instance *s, const char *who)
+{
+#if SMOOTH
+    for (unsigned vr = 0; vr < N_V; vr++)
+        if (ROW[vr] >= 0 && !(fabs(s->now.core.v[vr]) <= DBL_MAX))
+            return refuse(s, who, "%s is not finite; the states or inputs are too large", NAME[vr]);
+#else
+    (void)s; (void)who;
+#endif
+    return OK;
+}
+
 static int refresh(Instance *s, const char *who)
 {
     if (!s->now.stale) return OK;
@@ -134,6 +147,7 @@ static int refresh(Instance *s, const char *who)
     } else {
         core_outputs(&s->now.core);
     }
+    if (refuse_infinite(s, who)) return ERROR;
     s->now.stale = 0;
     return OK;
 }
@@ -153,6 +167,7 @@ int set_experiment(Instance *s, const char *who, double start, int stop_defined,
     if (!(fabs(start) <= DBL_MAX)) return refuse(s, who, "the start time must be finite");
     if (stop_defined && !(stop >= start && stop <= DBL_MAX))
         return refuse(s, who, "the stop time must be finite and not before the start");
+    s->now.timed = 1;
     s->now.core.v[0] = start;
     s->now.stop = stop_defined ? stop : INFINITY;
     return OK;
@@ -195,7 +210,7 @@ static int refuse_access(const Instance *s, const char *who, unsigned vr, unsign
 
 static int refuse_value(const Instance *s, const char *who, unsigned vr, double value)
 {
-    if (LOW[vr] == -DBL_MAX && HIGH[vr] == DBL_MAX) return refuse(s, who, "%s = %g: the value must be finite", NAME[vr], value);
+    if (!(fabs(value) <= DBL_MAX)) return refuse(s, who, "%s = %g: the value must be finite", NAME[vr], value);
     return refuse(s, who, "%s = %g is outside [%g, %g] %s", NAME[vr], value, LOW[vr], HIGH[vr], UNIT[vr]);
 }
 
@@ -343,6 +358,7 @@ int directional_derivative(Instance *s, const char *who, const unsigned unknown[
     for (size_t i = 0; i < n_unknown; i++) {
         sensitivity[i] = 0.0;
         for (size_t k = 0; k < n_known; k++) sensitivity[i] += jacobian[ROW[unknown[i]] * N_KNOWN + COLUMN[known[k]]] * seed[k];
+        if (!(fabs(sensitivity[i]) <= DBL_MAX)) return refuse(s, who, "the derivative of %s is not finite", NAME[unknown[i]]);
     }
     return OK;
 }

@@ -21,6 +21,7 @@ typedef struct {
     Core core;
     double stop;      /* no step goes beyond this time */
     int kind, mode;
+    int timed;        /* the experiment's times are set */
     unsigned stale;   /* SET_EARLY: the start must be computed again; SET_LATE: outputs and derivatives must be */
 } Situation;          /* all that an FMU state has to hold */
 

@@ -146,17 +146,18 @@ static int segment_fixed(Core *c, double begin, double length, long long *left, 
     return CORE_OK;
 }
 
-static int integrate(Core *c, double begin, double end, long long *left, double *s)
+/* The length is given besides begin and end, so that the digits do not depend on how large the time is. */
+static int integrate(Core *c, double begin, double end, double whole, long long *left, double *s)
 {
     const Variant *a = variant_of(c);
     if (!a->n_states) {
         c->v[0] = end;
         return CORE_OK;
     }
-    const double parts = ceil((end - begin) / c->v[a->max_step] - STEP_ROUNDING);
+    const double parts = ceil(whole / c->v[a->max_step] - STEP_ROUNDING);
     if (!(parts <= (double)*left)) return CORE_CAP;
     const long long n = parts < 1.0 ? 1 : (long long)parts;
-    const double length = (end - begin) / (double)n;
+    const double length = whole / (double)n;
     for (long long i = 0; i < n; i++) {
         const double from = begin + length * (double)i;
         const int code = a->friction_step >= 0 ? segment_fixed(c, from, length, left, s)
@@ -175,13 +176,14 @@ static int advance(Core *c, double h, double *s)
     const double end = c->v[0] + h;
     long long left = a->max_steps >= 0 ? (long long)c->v[a->max_steps] : 1000000;
     if (a->sample_time < 0) {
-        const int code = integrate(c, c->v[0], end, &left, s);
+        const int code = integrate(c, c->v[0], end, h, &left, s);
         if (code != CORE_OK) return code;
         core_outputs(c);
         return CORE_OK;
     }
     const double period = c->v[a->sample_time], same = SAME_INSTANT * fmin(period, h);
     if (!(h / period <= (double)left)) return CORE_CAP;
+    const double begin = c->v[0];
     do {
         double tick = c->origin + period * (double)c->ticks;
         if (c->v[0] >= tick - same) {
@@ -190,7 +192,8 @@ static int advance(Core *c, double h, double *s)
             tick = c->origin + period * (double)c->ticks;
         }
         const double stop = tick > end - same ? end : tick;
-        const int code = integrate(c, c->v[0], stop, &left, s);
+        const double whole = c->v[0] == begin && stop == end ? h : stop - c->v[0];
+        const int code = integrate(c, c->v[0], stop, whole, &left, s);
         if (code != CORE_OK) return code;
         if (stop >= tick - same && a->after) a->after(c->v, 0.0, 0);
         if (--left < 0) return CORE_CAP;

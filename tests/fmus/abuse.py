@@ -59,6 +59,15 @@ def input_not_finite(raw: Raw) -> None:
 
 
 @case
+def initialization_without_an_experiment(raw: Raw) -> None:
+    handle = raw.instantiate()
+    if raw.fmi == 2:  # FMI 3 gives the times with the call itself
+        refused(raw, raw.call("EnterInitializationMode", handle), "fmi2SetupExperiment")
+    assert raw.start(handle) == OK
+    alive(raw, handle)
+
+
+@case
 def input_outside_its_limits(raw: Raw) -> None:
     handle = raw.running()
     refused(raw, raw.set(handle, "load_scale", -0.1), "load_scale = -0.1", "[0, ")

@@ -157,6 +157,21 @@ def test_misuse_of_model_exchange(lean):
     assert raw.set(handle, "u", 1.0) == 3
 
 
+def test_what_is_not_finite_is_refused(lean):
+    """States so large that the equations overflow give an error, never infinities with status OK."""
+    raw, interface = lean
+    handle, n = exchange(raw), len(interface.rates)
+    dx = (ctypes.c_double * n)()
+    name = "GetDerivatives" if raw.fmi == 2 else "GetContinuousStateDerivatives"
+    set_states(raw, handle, [0.0, 1e308, *[1e308] * (n - 2)] if n > 2 else [0.0, 1.7e308])
+    assert raw.call(name, handle, dx, n) == 3
+    value = (ctypes.c_double * 1)()
+    get, count = ("GetReal", ()) if raw.fmi == 2 else ("GetFloat64", (1,))
+    assert raw.call(get, handle, raw.references("F"), 1, value, *count) == 3 or math.isfinite(value[0])
+    set_states(raw, handle, list(point(interface).values()))
+    assert raw.call(name, handle, dx, n) == 0
+
+
 def test_values_follow_what_is_set(lean):
     """Outputs and derivatives are those of the states, inputs and time set last, whatever was asked before."""
     raw, interface = lean

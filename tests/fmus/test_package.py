@@ -75,6 +75,7 @@ def test_sources_compile_from_a_clean_extract(built, what, fmi, tmp_path):
     units = configuration.sourceFileSets[0].sourceFiles
     assert sorted(units) == sorted(p.name for p in sources.glob("*.c"))
     flags = ["-std=c99", "-O1", "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    flags.append("-Wno-strict-prototypes")  # the standard's own fmi3FunctionTypes.h declares two callbacks with ()
     command = [*find_compiler(), *flags, *units, "-o", "out.so", "-lm"]
     done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -165,7 +166,7 @@ def test_a_changed_source_is_another_fmu(monkeypatch):
     before = keys()
     assert len(before) == 2
     python = module._key("python", "plant", 2, None)
-    monkeypatch.setattr(module, "_compiler", lambda: "another one")
+    monkeypatch.setattr(module, "compiler_identity", lambda: "another one")
     after = keys()
     assert not before & after
     assert module._key("python", "plant", 2, None) == python  # made without a compiler

@@ -10,6 +10,7 @@ enum { THREADS = 4, LIVES = 20000, STEPS = 3 };
 
 static fmi2InstantiateTYPE *make;
 static fmi2FreeInstanceTYPE *drop;
+static fmi2SetupExperimentTYPE *setup;
 static fmi2EnterInitializationModeTYPE *enter;
 static fmi2ExitInitializationModeTYPE *leave;
 static fmi2DoStepTYPE *step;
@@ -26,7 +27,7 @@ static int life(double *value)
 {
     const fmi2CallbackFunctions functions = {ignore, calloc, free, 0, 0};
     fmi2Component c = make("one", fmi2CoSimulation, token, "", &functions, 0, 0);
-    if (!c || enter(c) || leave(c)) return 1;
+    if (!c || setup(c, 0, 0.0, 0.0, 0, 0.0) || enter(c) || leave(c)) return 1;
     for (int k = 0; k < STEPS; k++)
         if (step(c, 1e-3 * k, 1e-3, 1)) return 1;
     if (get(c, &output, 1, value)) return 1;
@@ -51,6 +52,7 @@ int main(int count, char **arguments)
     output = (fmi2ValueReference)atoi(arguments[3]);
     *(void **)&make = dlsym(library, "fmi2Instantiate");
     *(void **)&drop = dlsym(library, "fmi2FreeInstance");
+    *(void **)&setup = dlsym(library, "fmi2SetupExperiment");
     *(void **)&enter = dlsym(library, "fmi2EnterInitializationMode");
     *(void **)&leave = dlsym(library, "fmi2ExitInitializationMode");
     *(void **)&step = dlsym(library, "fmi2DoStep");
