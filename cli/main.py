@@ -154,7 +154,7 @@ def _report(done: Run, seconds: float) -> None:
     failed = [check["name"] for check in result["checks"] if not check["pass"]]
     why = ""
     if "diverged" in result:
-        why = f"  {result['diverged']['fmu']} diverged at {result['diverged']['time_s']:g} s"
+        why = f"  {result['diverged']['fmu']} stopped at {result['diverged']['time_s']:g} s: {result['diverged']['message']}"
     elif failed:
         why = f"  failed: {', '.join(failed)}"
     print(f"{result['scenario']:<24} {result['verdict']:<4} {seconds:7.1f} s  {done.folder / 'report.html'}{why}", flush=True)

@@ -23,6 +23,7 @@ POINTS = 1200  # of a curve
 CLOUD = 5000  # of a scatter
 LOOPS, NEAR = 5.0, 30.0  # s and deg/s of the friction loops near rest
 WINDOW = 10.0  # s of signals that are shown
+TICKS = 5  # intervals between ticks, at most
 MARGINS = (0.62, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
 SYMBOLS = {  # plain characters: setting mathematics would cost as much as a figure
     "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
@@ -69,7 +70,12 @@ def _thin(n: int, points: int = POINTS) -> NDArray[np.intp]:
 
 def _svg(figure: Any, salt: str) -> str:
     from matplotlib import rc_context
+    from matplotlib.ticker import AutoLocator
 
+    for ax in figure.axes:  # ticks are most of what drawing costs
+        for axis in (ax.xaxis, ax.yaxis):
+            if isinstance(axis.get_major_locator(), AutoLocator):
+                axis.get_major_locator().set_params(nbins=TICKS)
     out = io.StringIO()
     with rc_context({"svg.hashsalt": f"bristle-{salt}"}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})

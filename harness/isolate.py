@@ -94,6 +94,9 @@ def _child(folder: str) -> None:
         outcome = simulate(bus, engine=engine, control=control)
     except BristleError as error:
         outcome = str(error)
+    except Exception as error:  # FMPy raises plain exceptions for what an FMU refuses; not a crash
+        names = ", ".join(str(instance.fmu.path) for instance in bus.instances if instance.fmu.foreign)
+        outcome = f"FMU {names}: {' '.join(str(error).split()) or type(error).__name__}; check the FMU and its parameters"
     fresh = work / "trace.tmp"
     fresh.write_bytes(pickle.dumps(outcome))
     os.replace(fresh, work / "trace.pkl")

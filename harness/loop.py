@@ -59,9 +59,9 @@ class Bus:
     watch: tuple[str, ...] = ()
 
     @property
-    def foreign(self) -> bool:
-        """Whether an FMU takes part that somebody else made."""
-        return any(instance.fmu.foreign for instance in self.instances)
+    def risky(self) -> bool:
+        """Whether an FMU takes part whose library may harm its process: somebody else's, or pythonfmu's."""
+        return any(instance.fmu.foreign or instance.fmu.kind == "python" for instance in self.instances)
 
 
 @dataclass(frozen=True)

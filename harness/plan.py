@@ -250,6 +250,8 @@ def validation(setup: Setup) -> Bus:
     assert demand is not None
     if not setup.fmus["controller"].has("seed", "parameter"):
         raise setup.loaded.error("validation.seed", demand.seed, "the controller FMU has no parameter 'seed'; remove [validation]")
+    if demand.seed == setup.values["controller"].get("seed", setup.fmus["controller"].start("seed")):
+        raise setup.loaded.error("validation.seed", demand.seed, "is the seed of the identification record; choose another one")
     last = {port: (0, port, value) for _, port, value in _events(setup)}
     controller = Instance("controller", setup.fmus["controller"], {**setup.values["controller"], "seed": demand.seed})
     return Bus(

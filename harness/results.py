@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bristle.model.errors import BristleError
 
+OURS = {".json", ".csv", ".html", ".svg"}  # what a result folder consists of
 ROWS = 2000  # of the thinned signals.csv
 
 
@@ -68,6 +69,17 @@ def check_writable(out: Path) -> None:
         raise complain(out, error) from None
 
 
+def refuse_strange(target: Path) -> None:
+    """Refuse to replace anything but a result folder: one that is empty or holds a result.json and only files like ours."""
+    if not target.exists() and not target.is_symlink():
+        return
+    ours = target.is_dir() and not target.is_symlink()
+    if ours and (inside := list(target.iterdir())):
+        ours = (target / "result.json").is_file() and all(p.is_file() and p.suffix in OURS for p in inside)
+    if not ours:
+        raise BristleError(f"{target}: exists and is no result folder of bristle; choose another --out or rename the scenario")
+
+
 def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
     """Write all files into `out/name`, replacing what was there only when all of them are written.
 
@@ -77,6 +89,7 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
         If the folder cannot be written or the disk is full; what was there before is then still there.
     """
     target = out / name
+    refuse_strange(target)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=f".{name}-", ignore_cleanup_errors=True) as work:
@@ -99,10 +112,8 @@ def _write_file(path: Path, content: bytes) -> None:
 
 def _exchange(fresh: Path, target: Path, old: Path) -> None:
     """Put `fresh` in the place of `target`; put the old one back if that fails."""
-    if target.is_dir() and not target.is_symlink():
+    if target.exists():
         os.replace(target, old)
-    elif target.exists() or target.is_symlink():
-        target.unlink()
     try:
         os.replace(fresh, target)
     except BaseException:

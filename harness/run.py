@@ -81,6 +81,7 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
     tell = progress or (lambda stage, done, total: None)
     loaded = load(path, options.overrides, options.seed)
     results.check_writable(out)
+    results.refuse_strange(out / loaded.name)
     with clock.stage("FMUs (built only if new)"):
         tell("building FMUs", 0, 0)
         setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))
@@ -112,7 +113,7 @@ def _load_drawing() -> None:
 
 
 def _simulate(bus: Bus, progress: Callable[[int], None] | None = None) -> Trace:
-    return simulate_isolated(bus, progress) if bus.foreign else simulate(bus, progress)
+    return simulate_isolated(bus, progress) if bus.risky else simulate(bus, progress)
 
 
 class _View:

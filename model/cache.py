@@ -21,7 +21,7 @@ def cache_folder() -> Path:
     elif sys.platform == "darwin":
         folder = Path.home() / "Library" / "Caches" / "bristle"
     else:
-        folder = Path(os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))) / "bristle"
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")) / "bristle"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -7,6 +7,7 @@ import pkgutil
 
 from bristle.model.errors import BristleError
 from bristle.model.program import Program
+from bristle.model.variables import unique
 from bristle.observer.method import Method, observer
 
 
@@ -14,7 +15,7 @@ def methods() -> dict[str, Method]:
     """Return all methods by name, in alphabetical order of their files."""
     modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
     found = [getattr(importlib.import_module(f"{__name__}.{name}"), "METHOD", None) for name in modules]
-    return {method.name: method for method in found if method is not None}
+    return unique([method for method in found if method is not None], "observer")
 
 
 def observer_program(method: str | None = None) -> Program:

@@ -6,14 +6,15 @@ import importlib
 import pkgutil
 
 from bristle.model.errors import BristleError
+from bristle.model.variables import unique
 from bristle.plant.law import FrictionLaw
 
 
 def laws() -> dict[str, FrictionLaw]:
     """Return all laws by name, in alphabetical order of their files."""
     modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    found = [importlib.import_module(f"{__name__}.{name}").LAW for name in modules]
-    return {law.name: law for law in found}
+    found = [getattr(importlib.import_module(f"{__name__}.{name}"), "LAW", None) for name in modules]
+    return unique([law for law in found if law is not None], "friction law")
 
 
 def law(name: str) -> FrictionLaw:
