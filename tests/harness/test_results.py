@@ -21,14 +21,32 @@ def names(folder: Path) -> list[str]:
 
 
 def test_a_folder_is_written_and_replaced_as_a_whole(tmp_path: Path) -> None:
-    results.write(tmp_path, "case", {"old.txt": "old"})
+    results.write(tmp_path, "case", {"result.json": "{}", "old.csv": "old"})
     results.write(tmp_path, "case", FILES)
     assert names(tmp_path) == ["case"]
     assert names(tmp_path / "case") == ["a.json", "b.bin"]
 
 
+@pytest.mark.parametrize("strange", ["folder", "result folder with more in it", "file", "link"])
+def test_what_is_not_ours_is_never_replaced(tmp_path: Path, message: Message, strange: str) -> None:
+    target = tmp_path / "case"
+    if strange == "file":
+        target.write_text("precious")
+    elif strange == "link":
+        (tmp_path / "elsewhere").mkdir()
+        target.symlink_to(tmp_path / "elsewhere")
+    else:
+        target.mkdir()
+        (target / "thesis.txt").write_text("precious")
+        if strange != "folder":
+            (target / "result.json").write_text("{}")
+    before = sorted(tmp_path.rglob("*"))
+    assert "no result folder" in message(lambda: results.write(tmp_path, "case", FILES))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_a_full_disk_keeps_the_old_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, message: Message) -> None:
-    results.write(tmp_path, "case", {"old.txt": "old"})
+    results.write(tmp_path, "case", {"result.json": "{}", "old.csv": "old"})
 
     def full(_descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -38,14 +56,14 @@ def test_a_full_disk_keeps_the_old_result(tmp_path: Path, monkeypatch: pytest.Mo
     assert "No space left" in line
     assert str(tmp_path) in line
     assert names(tmp_path) == ["case"]
-    assert (tmp_path / "case" / "old.txt").read_text() == "old"
+    assert (tmp_path / "case" / "old.csv").read_text() == "old"
 
 
 @pytest.mark.parametrize("error", [OSError(errno.EACCES, "Permission denied"), KeyboardInterrupt()])
 def test_an_exchange_that_fails_puts_the_old_result_back(
     error: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    results.write(tmp_path, "case", {"old.txt": "old"})
+    results.write(tmp_path, "case", {"result.json": "{}", "old.csv": "old"})
     real, calls = os.replace, []
 
     def replace(source: Path, target: Path) -> None:
@@ -58,7 +76,7 @@ def test_an_exchange_that_fails_puts_the_old_result_back(
     with pytest.raises((ValueError, KeyboardInterrupt)):
         results.write(tmp_path, "case", FILES)
     assert names(tmp_path) == ["case"]
-    assert names(tmp_path / "case") == ["old.txt"]
+    assert names(tmp_path / "case") == ["old.csv"]
 
 
 def test_a_file_in_the_way_is_one_line(tmp_path: Path, message: Message) -> None:
