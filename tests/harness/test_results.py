@@ -76,7 +76,7 @@ def test_an_exchange_that_fails_puts_the_old_result_back(
     with pytest.raises((ValueError, KeyboardInterrupt)):
         results.write(tmp_path, "case", FILES)
     assert names(tmp_path) == ["case"]
-    assert names(tmp_path / "case") == ["old.csv"]
+    assert names(tmp_path / "case") == ["old.csv", "result.json"]
 
 
 def test_a_file_in_the_way_is_one_line(tmp_path: Path, message: Message) -> None:
