@@ -6,6 +6,7 @@ Nothing symbolic is imported before it is known that something must be built: `o
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,7 +25,7 @@ INGREDIENTS = ("bristle.model", "bristle.plant", "bristle.observer", "bristle.fm
 LIBRARIES = ("bristle", "casadi", "fmpy", "pythonfmu")
 
 
-def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None) -> str | None:
+def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None, effects: Sequence[str]) -> str | None:
     """Return the variant asked for, or None for all; raise `BristleError` for what cannot be built."""
     if what not in WHAT:
         raise BristleError(f"unknown FMU '{what}'; known: {', '.join(WHAT)}")
@@ -35,18 +36,21 @@ def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None) 
     for name, value in (("law", law), ("method", method)):
         if value is not None and CHOICE.get(what) != name:
             raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
+    if effects and what != "plant":
+        raise BristleError(f"the {what} has no effects to add ('{effects[0]}'); leave them out")
     return law if what == "plant" else method
 
 
-def program_of(what: str, variant: str | None = None) -> Program:
+def program_of(what: str, variant: str | None = None, effects: Sequence[str] = ()) -> Program:
     """Return the program behind an FMU."""
     definition = importlib.import_module(f"bristle.fmus.{what}.definition")
-    program: Program = definition.program() if variant is None else definition.program(variant)
+    chosen = [] if variant is None else [variant]
+    program: Program = definition.program(*chosen, effects=effects) if effects else definition.program(*chosen)
     return program
 
 
-def _content(what: str, fmi: int, kind: str, variant: str | None) -> dict[str, bytes]:
-    program = program_of(what, variant)
+def _content(what: str, fmi: int, kind: str, variant: str | None, effects: Sequence[str]) -> dict[str, bytes]:
+    program = program_of(what, variant, effects)
     if kind == "python":
         from bristle.fmus.python_fmu import python_files
 
@@ -56,7 +60,16 @@ def _content(what: str, fmi: int, kind: str, variant: str | None) -> dict[str, b
     return native_files(program, fmi)
 
 
-def build(what: str, out: Path, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None) -> Path:
+def build(
+    what: str,
+    out: Path,
+    *,
+    fmi: int = 2,
+    kind: str = "native",
+    law: str | None = None,
+    method: str | None = None,
+    effects: Sequence[str] = (),
+) -> Path:
     """Write the FMU `what` (plant, observer or controller) to the file `out`.
 
     Parameters
@@ -67,6 +80,8 @@ def build(what: str, out: Path, *, fmi: int = 2, kind: str = "native", law: str 
         ``native`` (C99, compiled) or ``python`` (for hosts that run in Python; FMI 2 only).
     law, method : str, optional
         One friction law or one observer alone, instead of all of them behind a parameter.
+    effects : sequence of str
+        Effects added to the plant of one law.
 
     Raises
     ------
@@ -75,8 +90,8 @@ def build(what: str, out: Path, *, fmi: int = 2, kind: str = "native", law: str 
     """
     from bristle.fmus.pack import write_archive
 
-    variant = _check(what, fmi, kind, law, method)
-    return write_archive(Path(out), _content(what, fmi, kind, variant))
+    variant = _check(what, fmi, kind, law, method, effects)
+    return write_archive(Path(out), _content(what, fmi, kind, variant, effects))
 
 
 def _sources(package: str) -> list[str | bytes]:
@@ -94,13 +109,21 @@ def _key(kind: str, *arguments: object) -> str:
     return digest(*sources, *(version(name) for name in LIBRARIES), *made_by, repr((kind, *arguments)))
 
 
-def obtain(what: str, *, fmi: int = 2, kind: str = "native", law: str | None = None, method: str | None = None) -> Path:
+def obtain(
+    what: str,
+    *,
+    fmi: int = 2,
+    kind: str = "native",
+    law: str | None = None,
+    method: str | None = None,
+    effects: Sequence[str] = (),
+) -> Path:
     """Return the FMU as a file of the cache, built only if it is not there; arguments as of `build`."""
-    variant = _check(what, fmi, kind, law, method)
-    key = _key(kind, what, fmi, variant)
-    name = "-".join([what, *([variant] if variant else []), f"fmi{fmi}", kind, key[:24]])
+    variant = _check(what, fmi, kind, law, method, effects)
+    key = _key(kind, what, fmi, variant, *sorted(effects))
+    name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
-        build(what, out, fmi=fmi, kind=kind, law=law, method=method)
+        build(what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects)
 
     return cached(f"{name}.fmu", make)

@@ -15,7 +15,8 @@ def proximal(system: System, h: SX) -> SX:
 
     The smooth part is linearly implicit Euler, (I/h - A) dx = f(x). With the velocity eliminated last, the step is one
     scalar inclusion, S dv = r - f/J, f in N Sgn(v + dv), solved by projection. In the sticking branch dv = -v is set,
-    not computed, so that velocity and position stand still to the last bit. First-order accurate.
+    not computed, so that velocity and position stand still to the last bit. The bounds of the two directions may differ;
+    both are those at the start of the step. First-order accurate.
 
     Source: moreau1988 (time stepping), acary2008 (closed-form projection).
     """
@@ -29,7 +30,11 @@ def proximal(system: System, h: SX) -> SX:
     y = factors.forward(f + h * f_t)
     pivot, limit = factors.a[-1][-1], dry.bound / dry.inertia
     stopping = y[-1] + pivot * v  # friction acceleration that would bring the velocity to zero in this step
-    friction = ca.fmin(ca.fmax(stopping, -limit), limit)
-    dv = ca.if_else(ca.fabs(stopping) <= limit, -v, (y[-1] - friction) / pivot)
+    if dry.backward is None:
+        friction, sticks = ca.fmin(ca.fmax(stopping, -limit), limit), ca.fabs(stopping) <= limit
+    else:
+        lowest = -dry.backward / dry.inertia
+        friction, sticks = ca.fmin(ca.fmax(stopping, lowest), limit), ca.logic_and(lowest <= stopping, stopping <= limit)
+    dv = ca.if_else(sticks, -v, (y[-1] - friction) / pivot)
     x_new = x + factors.backward(y, last=dv)
     return ca.vertcat(*(x_new[names.index(name)] for name in system.states))

@@ -33,11 +33,15 @@ FRICTION_STEP = Parameter(
 
 @dataclass(frozen=True)
 class DryRow:
-    """The one row J v' = T - f with f in bound * Sgn(v): state `row`, inertia J and friction bound N as expressions."""
+    """The one row J v' = T - f with f in bound * Sgn(v): state `row`, inertia J and friction bound N as expressions.
+
+    `backward`, where given, is the bound against backward motion: f in [-backward, bound] at rest.
+    """
 
     row: str
     inertia: Any
     bound: Any
+    backward: Any = None
 
 
 @dataclass
@@ -128,12 +132,15 @@ class System:
         """Declare an output and its equation."""
         self.outputs[variable.name] = (variable, SX(expression))
 
-    def dry_friction(self, row: str, inertia: SX, bound: SX) -> None:
-        """Put set-valued friction of the given bound [N.m] on the rate of `row`, whose inertia is `inertia`."""
+    def dry_friction(self, row: str, inertia: SX, bound: SX, backward: SX | None = None) -> None:
+        """Put set-valued friction of the given bound [N.m] on the rate of `row`, whose inertia is `inertia`.
+
+        `backward` is the bound against backward motion, where it differs.
+        """
         if self.dry is not None:
             raise BristleError(f"system '{self.name}' already has a dry-friction row ('{self.dry.row}'); only one is allowed")
         self.parameter(FRICTION_STEP)
-        self.dry = DryRow(row, SX(inertia), SX(bound))
+        self.dry = DryRow(row, SX(inertia), SX(bound), None if backward is None else SX(backward))
 
     # -- views -------------------------------------------------------------------------------------------------------
 

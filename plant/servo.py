@@ -1,16 +1,20 @@
-"""The servo: voltage drive with saturation, inertia, a friction law, and (optionally) an encoder."""
+"""The servo: voltage drive with saturation, inertia, a friction law, effects, and (optionally) an encoder."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import casadi as ca
 
+from bristle.model.errors import BristleError
 from bristle.model.normalised import NORMALISED
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Parameter, State, Variable
+from bristle.plant.effect import Effect, Effects, arrange
+from bristle.plant.effects import effect as find_effect
 from bristle.plant.friction import law as find_law
 from bristle.plant.friction import laws
 from bristle.plant.law import FrictionLaw
@@ -27,15 +31,21 @@ COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder count
 
 
 
-def servo(law: FrictionLaw, encoder: bool = True) -> System:
-    """Compose a law into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2 v, theta' = v.
+def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()) -> System:
+    """Compose a law and effects into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2 v, theta' = v.
+
+    With a second inertia, theta and v are the motor's, which friction acts on and the encoder shows; tau_load acts on
+    the load. Output theta, v and encoder are what is measured; F is the friction torque with all that effects change.
 
     Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load scales friction.
     """
-    system = System(law.name, law.description)
+    ordered = arrange(effects)
+    for effect in ordered:
+        law = effect.law(law) if effect.law else law
+    system = System(law.name, " with ".join([law.description, *(effect.name for effect in ordered)]))
     j, b, a2, u_max = (system.parameter(p) for p in (J, B, A2, U_MAX))
     theta_start, v_start = system.parameter(THETA_START), system.parameter(V_START)
-    for parameter in law.parameters:
+    for parameter in (*law.parameters, *(p for effect in ordered for p in effect.parameters)):
         system.parameter(parameter)
     u = system.input(Variable("u", "V", "voltage asked of the drive", minimum=-1e9, maximum=1e9))
     tau_load = system.input(Variable("tau_load", "N.m", "external torque on the shaft", minimum=-1e9, maximum=1e9))
@@ -46,26 +56,56 @@ def servo(law: FrictionLaw, encoder: bool = True) -> System:
     p = system.namespace(f"{law.name}.")
     for state in law.states:
         system.state(replace(state, scale=state.scale(p) if callable(state.scale) else state.scale))
+    for effect in ordered:
+        for state in effect.states:
+            system.state(replace(state, name=f"{effect.name}.{state.name}"))
+        for state in effect.sampled:
+            system.sampled(replace(state, name=f"{effect.name}.{state.name}"))
+    work = Effects(system, ordered, theta, v)
     friction = law.equations(p, v)
-    torque = b * ca.fmin(ca.fmax(u, -u_max), u_max) + tau_load
-    smooth = load_scale * friction.force + a2 * v
+    asked = work.input("command", u)
+    motor = b * work.input("drive", ca.fmin(ca.fmax(asked, -u_max), u_max))
+    dry, bound, backward = work.friction(law, friction, load_scale, motor, j)
+    torque, inertia = _bodies(system, work, j, motor, tau_load)
+    smooth = dry + a2 * v
     system.rate("theta", v)
-    system.rate("v", (torque - smooth) / j)
+    system.rate("v", (torque - smooth) / inertia)
     for name, rate in friction.rates.items():
         system.rate(name, rate)
     force = smooth
-    if friction.bound is not None:
-        bound = load_scale * friction.bound
-        system.dry_friction("v", j, bound)
+    if bound is not None:
+        system.dry_friction("v", inertia, bound, backward)
+        lower = bound if backward is None else backward
         # at rest the friction is whatever holds the shaft, up to the bound
-        force = smooth + ca.if_else(v == 0, ca.fmin(ca.fmax(torque - smooth, -bound), bound), bound * ca.sign(v))
-    system.output(Variable("theta", "rad", "position"), theta)
-    system.output(Variable("v", "rad/s", "velocity"), v)
+        sliding = ca.if_else(v > 0, bound, -lower)
+        force = smooth + ca.if_else(v == 0, ca.fmin(ca.fmax(torque - smooth, -lower), bound), sliding)
+    theta_shown, v_shown = work.shown(theta, v)
+    system.output(Variable("theta", "rad", "position"), theta_shown)
+    system.output(Variable("v", "rad/s", "velocity"), v_shown)
     system.output(Variable("F", "N.m", "friction torque, viscous part included"), force)
     if encoder:
-        _encoder(system, theta, theta_start)
+        _encoder(system, theta_shown, work.shown(theta_start, v_start)[0])
     _true_values(system, {"alpha2": a2 / j, "b": b / j, **friction.true})
     return system
+
+
+def _bodies(system: System, work: Effects, j: SX, motor: SX, tau_load: SX) -> tuple[SX, SX]:
+    """Return (torque without friction, inertia) of the motor side; add the load behind a coupling, where there is one.
+
+    Source: spong2006 chapter 6 (two inertias behind each other).
+    """
+    theta, v = system.symbols["theta"], system.symbols["v"]
+    if not work.coupled:
+        return work.torque(work.torque(motor + tau_load, False, theta, v), True, theta, v), j
+    theta_load = system.state(State("theta_load", "rad", "position of the load", initial=system.symbols["theta_start"]))
+    v_load = system.state(State("v_load", "rad/s", "velocity of the load", initial=system.symbols["v_start"]))
+    coupling = work.couple(theta - theta_load, v - v_load)
+    system.rate("theta_load", v_load)
+    load = work.torque(tau_load + coupling.torque, True, theta_load, v_load)
+    system.rate("v_load", load / (coupling.share * j))
+    system.output(Variable("theta_load", "rad", "position of the load"), theta_load)
+    system.output(Variable("v_load", "rad/s", "velocity of the load"), v_load)
+    return work.torque(motor - coupling.torque, False, theta, v), (1 - coupling.share) * j
 
 
 def _encoder(system: System, theta: SX, theta_start: SX) -> None:
@@ -93,16 +133,22 @@ def _true_values(system: System, true: dict[str, SX]) -> None:
         system.calculate(valid, SX(1.0 if name in true else 0.0))
 
 
-def servo_program(law: str | None = None, *, encoder: bool = True, sensitivities: tuple[str, ...] = ()) -> Program:
-    """Return the servo as a program: all laws behind the selector `law`, or one law alone.
+def servo_program(
+    law: str | None = None, *, encoder: bool = True, effects: Sequence[str] = (), sensitivities: tuple[str, ...] = ()
+) -> Program:
+    """Return the servo as a program: all laws behind the selector `law`, or one law alone, with effects by name.
 
     Raises
     ------
     BristleError
-        If the law is unknown.
+        If the law or an effect is unknown, or if they cannot be combined.
     """
+    added = [find_effect(name) for name in effects]
     if law is not None:
-        system = servo(find_law(law), encoder)
-        return Program(f"ServoPlant_{law}", [system], description=f"servo with {system.description}", sensitivities=sensitivities)
+        system = servo(find_law(law), encoder, added)
+        name = "_".join(["ServoPlant", law, *sorted(effects)])
+        return Program(name, [system], description=f"servo with {system.description}", sensitivities=sensitivities)
+    if added:
+        raise BristleError(f"effect '{added[0].name}' joins one friction law; choose a law")
     systems = [servo(each, encoder) for each in laws().values()]
     return Program("ServoPlant", systems, "law", "servo with a friction law chosen by the parameter law")

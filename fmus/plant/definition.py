@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from bristle.model.program import Program
 from bristle.plant.servo import servo_program
 
 
-def program(law: str | None = None) -> Program:
+def program(law: str | None = None, effects: Sequence[str] = ()) -> Program:
     """Return ServoPlant; of a smooth law alone without the encoder, so that Model Exchange can be offered."""
     if law is None:
-        return servo_program()
-    lean = servo_program(law, encoder=False)
-    return lean if lean.variants[0].system.smooth else servo_program(law)
+        return servo_program(effects=effects)
+    lean = servo_program(law, encoder=False, effects=effects)
+    return lean if lean.variants[0].system.smooth else servo_program(law, effects=effects)

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from bristle.model.units import parse_unit
 from bristle.model.variables import Parameter
 from bristle.observer import methods
+from bristle.plant.effects import effects
 from bristle.plant.friction import laws
 from bristle.plant.servo import servo_program
 
@@ -20,13 +22,15 @@ ENTRIES = re.findall(r"^@(\w+)\{([^,\s]+),\n(.*?)^\}", BIBLIOGRAPHY, re.DOTALL |
 KEYS = [key for _, key, _ in ENTRIES]
 
 
+@cache
 def programs():
-    """Return every program there is by name."""
-    return {"servo": servo_program(), **{name: servo_program(name) for name in laws()}}
+    """Return every program there is by name, and a servo with each effect."""
+    augmented = {name: servo_program("coulomb", effects=(name,)) for name in effects()}
+    return {"servo": servo_program(), **{name: servo_program(name) for name in laws()}, **augmented}
 
 
 def parameters():
-    """Return every parameter of laws, servo and observers by name."""
+    """Return every parameter of laws, servo, effects and observers by name."""
     found = {p.name: p for program in programs().values() for a in program.variants for p in a.system.parameters.values()}
     return found | {p.name: p for method in methods().values() for p in method.parameters}
 
@@ -96,6 +100,16 @@ def test_every_law_says_what_it_is_and_where_it_comes_from(name):
     assert set(KEY.findall(law.source)) & set(KEYS)
     assert all(p.name.startswith(f"{name}.") for p in law.parameters)
     assert "Source:" in (law.equations.__doc__ or "")
+
+
+@pytest.mark.parametrize("name", list(effects()))
+def test_every_effect_says_what_it_is_and_where_it_comes_from(name):
+    effect = effects()[name]
+    assert effect.name == name
+    assert len(effect.description.split()) >= 2
+    assert set(KEY.findall(effect.source)) & set(KEYS)
+    slots = (effect.torque, effect.factor, effect.bound, effect.output, effect.coupling, effect.law, effect.command, effect.rates)
+    assert any("Source:" in (slot.__doc__ or "") for slot in (*slots, effect.drive) if slot)
 
 
 @pytest.mark.parametrize("name", list(methods()))

@@ -1,0 +1,218 @@
+"""What an effect is: something a servo may have beside its friction law, as slots that `servo` composes.
+
+Starting values derived from data are not part of an effect yet; an effect's defaults only make it visible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from bristle.model.errors import BristleError
+from bristle.model.system import System
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.plant.law import Friction, FrictionLaw
+
+SX = ca.SX
+
+VIEWS = {  # where a residual torque can live
+    "all": "everywhere, at rest too",
+    "v": "velocity",
+    "a": "acceleration",
+    "u": "input",
+    "du": "rate of the input",
+    "t": "time",
+    "theta": "position",
+    "direction": "sign of the velocity",
+    "history": "travel since the last reversal",
+    "frequency": "frequency, near the resonance",
+    "theta x direction": "position, with the sign of the velocity",
+    "t x direction": "time, with the sign of the velocity",
+    "u x direction": "input, with the sign of the velocity",
+}
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a slot sees: its own parameters and states as p.amplitude, the servo's as p.J; position and velocity of the
+    side it acts on, the input as it arrives at the slot, time, and the motor torque."""
+
+    p: Namespace
+    theta: SX
+    v: SX
+    u: SX
+    time: SX
+    torque: SX
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A second inertia: its share of the servo's J, and the torque [N.m] that the motor side hands to it."""
+
+    share: SX
+    torque: SX
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect by name; each slot is a function of a `Context`, and what is None is not touched.
+
+    Attributes
+    ----------
+    group : str
+        Name of its class: the effects that data may not tell apart, joined by a slash.
+    equation : str
+        The equation in one line of text.
+    residual : tuple of str
+        Where the torque is found that a model without the effect lacks: keys of `VIEWS`.
+    excitation : str
+        What a record must contain to show the effect.
+    confounded : tuple of str
+        Names of the effects it is easily taken for.
+    rank : int
+        Effects act in the order of (rank, name), whatever the order they are given in.
+    load_side : bool
+        With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
+    states, rates : tuple of State, function
+        Own continuous states and their derivatives; the context is that of the effect's input map.
+    sampled, updates : tuple of State, function
+        Own sampled states, updated before an interval is integrated.
+    command : function
+        Map of the input before the drive's limit u_max.
+    drive : function
+        Map of the input after the limit.
+    torque : function
+        Torque added [N.m].
+    factor : function
+        Factors (for forward, for backward motion) on the dry friction of the law. A set-valued law gets two bounds; a
+        smooth law chooses by the sign of its friction force, so that the product stays continuous.
+    bound : function
+        Dry-friction torque added [N.m], for both directions. A smooth law grows by it in proportion to its Fc.
+    output : function
+        Position and velocity that are measured.
+    coupling : function
+        Second inertia behind the motor; arguments context, twist (motor - load) and its rate.
+    law : function
+        Replacement of the friction law.
+    """
+
+    name: str
+    description: str
+    source: str
+    group: str
+    equation: str
+    residual: tuple[str, ...]
+    excitation: str
+    confounded: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    rank: int = 0
+    load_side: bool = False
+    states: tuple[State, ...] = ()
+    rates: Callable[[Context], dict[str, SX]] | None = None
+    sampled: tuple[State, ...] = ()
+    updates: Callable[[Context], dict[str, SX]] | None = None
+    command: Callable[[Context], SX] | None = None
+    drive: Callable[[Context], SX] | None = None
+    torque: Callable[[Context], SX] | None = None
+    factor: Callable[[Context], tuple[SX, SX]] | None = None
+    bound: Callable[[Context], SX] | None = None
+    output: Callable[[Context], tuple[SX, SX]] | None = None
+    coupling: Callable[[Context, SX, SX], Coupling] | None = None
+    law: Callable[[FrictionLaw], FrictionLaw] | None = None
+
+
+def arrange(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects in the order in which they act; raise `BristleError` for those that exclude each other."""
+    names = [effect.name for effect in effects]
+    for name in names:
+        if names.count(name) > 1:
+            raise BristleError(f"effect '{name}' is given twice; give it once")
+    for slot, what in (("coupling", "put a second inertia behind the motor"), ("law", "replace the friction law")):
+        both = sorted(effect.name for effect in effects if getattr(effect, slot) is not None)
+        if len(both) > 1:
+            raise BristleError(f"effects '{both[0]}' and '{both[1]}' both {what}; choose one of them")
+    return sorted(effects, key=lambda effect: (effect.rank, effect.name))
+
+
+class Effects:
+    """The effects of one servo at work: its slots in turn, each with what the servo knows at that point."""
+
+    def __init__(self, system: System, effects: Sequence[Effect], theta: SX, v: SX) -> None:
+        self._system, self._effects = system, effects
+        self._seen = Context(system.namespace(), theta, v, SX(0), system.time, SX(0))
+
+    def having(self, slot: str, **seen: SX) -> Iterator[tuple[Effect, Context]]:
+        """Yield the effects that fill a slot, with what they see."""
+        for effect in self._effects:
+            if getattr(effect, slot) is not None:
+                yield effect, replace(self._seen, p=self._system.namespace(f"{effect.name}."), **seen)
+
+    def input(self, slot: str, u: SX) -> SX:
+        """Send the input through the maps of a slot, and give the states of these maps their equations."""
+        for effect, c in self.having(slot):
+            here = replace(c, u=u)
+            for name, rate in (effect.rates(here) if effect.rates else {}).items():
+                self._system.rate(f"{effect.name}.{name}", rate)
+            for name, value in (effect.updates(here) if effect.updates else {}).items():
+                self._system.update(f"{effect.name}.{name}", value)
+            u = getattr(effect, slot)(here)
+        return u
+
+    def torque(self, start: SX, load_side: bool, theta: SX, v: SX) -> SX:
+        """Add the torques of one side, which moves with theta and v."""
+        for effect, c in self.having("torque", theta=theta, v=v):
+            if effect.torque is not None and effect.load_side is load_side:
+                start = start + effect.torque(c)
+        return start
+
+    def friction(self, law: FrictionLaw, friction: Friction, scale: SX, motor: SX, inertia: SX) -> tuple[SX, SX | None, SX | None]:
+        """Return (friction torque, bound of set-valued friction, bound against backward motion where it differs)."""
+        forward = backward = scale
+        for effect, c in self.having("factor"):
+            if friction.bound is None and SX(friction.force).is_zero():
+                raise BristleError(
+                    f"effect '{effect.name}' scales dry friction, which law '{law.name}' does not have; choose another law"
+                )
+            assert effect.factor is not None
+            up, down = effect.factor(c)
+            alike = forward is backward and up is down
+            forward, backward = forward * up, backward * down
+            backward = forward if alike else backward
+        extra = [(e, e.bound(c)) for e, c in self.having("bound", torque=motor) if e.bound is not None]
+        added = sum((bound for _, bound in extra), SX(0))
+        if friction.bound is None and not SX(friction.force).is_zero():
+            if extra and "Fc" not in friction.true:
+                name = extra[0][0].name
+                raise BristleError(f"effect '{name}' needs a law with a Coulomb level Fc, not '{law.name}'; choose another law")
+            if extra:
+                share = added / (friction.true["Fc"] * inertia)
+                alike = forward is backward
+                forward, backward = forward + share, backward + share
+                backward = forward if alike else backward
+            factor = forward if forward is backward else ca.if_else(friction.force > 0, forward, backward)
+            return factor * friction.force, None, None
+        if friction.bound is None and not extra:
+            return scale * friction.force, None, None
+        own = SX(0) if friction.bound is None else friction.bound
+        upper, lower = forward * own + added, backward * own + added
+        return scale * friction.force, upper, None if forward is backward else lower
+
+    @property
+    def coupled(self) -> bool:
+        """True if there is a second inertia."""
+        return any(True for _ in self.having("coupling"))
+
+    def couple(self, twist: SX, rate: SX) -> Coupling:
+        """Return the second inertia, of which there must be one."""
+        [(effect, c)] = self.having("coupling")
+        assert effect.coupling is not None
+        return effect.coupling(c, twist, rate)
+
+    def shown(self, theta: SX, v: SX) -> tuple[SX, SX]:
+        """Return the position and velocity that are measured."""
+        for effect, c in self.having("output"):
+            assert effect.output is not None
+            theta, v = effect.output(replace(c, theta=theta, v=v))
+        return theta, v

@@ -1,0 +1,32 @@
+"""Dry friction that differs between the directions."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def factor(c: Context) -> tuple[ca.SX, ca.SX]:
+    """Fc (1 + alpha sgn v).
+
+    Source: armstrong1994 (friction that depends on the direction).
+    """
+    return 1 + c.p.share, 1 - c.p.share
+
+
+EFFECT = Effect(
+    "asymmetric_coulomb",
+    "dry friction that differs between the directions",
+    "armstrong1994",
+    group="bias/asymmetric_coulomb",
+    equation="Fc (1 + alpha sgn v)",
+    residual=("direction",),
+    excitation="both directions, and rest: while it moves it equals a bias",
+    confounded=("bias",),
+    parameters=(
+        Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),
+    ),
+    factor=factor,
+)

@@ -1,0 +1,33 @@
+"""Voltage that the turning motor takes from the drive."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def drive(c: Context) -> ca.SX:
+    """u - K v.
+
+    Source: spong2006 chapter 6 (back EMF of a DC motor).
+    """
+    return ca.SX(c.u - c.p.constant * c.v)
+
+
+EFFECT = Effect(
+    "back_emf",
+    "voltage that the turning motor takes from the drive",
+    "spong2006",
+    group="back_emf",
+    equation="u - K v",
+    residual=("v",),
+    excitation="none helps beside a free viscous term: it takes a measured current",
+    confounded=("quadratic_drag",),
+    parameters=(
+        Parameter("back_emf.constant", "K", "V.s/rad", 0.05, 0.0, 1e6, "voltage over speed", "spong2006 chapter 6"),
+    ),
+    rank=1,
+    drive=drive,
+)

@@ -1,0 +1,38 @@
+"""A load behind a coupling with play."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Coupling, Effect
+
+
+def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
+    """T = k e (1 + lambda e'), e = twist beyond half the play; a contact never pulls.
+
+    The damping grows with the deformation, so that the torque has no jump at contact. Sides as for compliance.
+    Source: nordin2002 (dead-zone model of backlash); hunt1975 (contact damping).
+    """
+    half = c.p.play / 2
+    press = twist - ca.fmin(ca.fmax(twist, -half), half)
+    return Coupling(c.p.share, c.p.stiffness * press * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)))
+
+
+EFFECT = Effect(
+    "backlash",
+    "a load behind a coupling with play",
+    "nordin2002",
+    group="backlash",
+    equation="T = k e (1 + lambda e'), e = dz(theta - theta_load, b/2), J_load = r J",
+    residual=("history",),
+    excitation="reversals",
+    confounded=("input_delay", "presliding", "compliance"),
+    parameters=(
+        Parameter("backlash.share", "r", "1", 0.5, 1e-3, 0.999, "load inertia over the whole J", "nordin2002"),
+        Parameter("backlash.play", "b", "rad", 0.02, 0.0, 10.0, "free play of the coupling", "nordin2002"),
+        Parameter("backlash.stiffness", "k", "N.m/rad", 20.0, 1e-6, 1e9, "stiffness of the contact", "nordin2002"),
+        Parameter("backlash.dissipation", "lambda", "s/rad", 1.0, 0.0, 1e6, "damping over elastic torque and rate", "hunt1975"),
+    ),
+    coupling=coupling,
+)

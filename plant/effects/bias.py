@@ -1,0 +1,32 @@
+"""Constant torque."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def torque(c: Context) -> ca.SX:
+    """T = tau0.
+
+    Source: janot2019 (offset of the drive chain).
+    """
+    return ca.SX(c.p.torque)
+
+
+EFFECT = Effect(
+    "bias",
+    "constant torque",
+    "janot2019",
+    group="bias/asymmetric_coulomb",
+    equation="T = tau0",
+    residual=("all",),
+    excitation="any motion; only rest tells it from asymmetric_coulomb",
+    confounded=("asymmetric_coulomb", "gravity", "disturbance_step"),
+    parameters=(
+        Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant torque, positive forward", "janot2019"),
+    ),
+    torque=torque,
+)

@@ -1,0 +1,33 @@
+"""Elastic motion before a set-valued law slides, with damping."""
+
+from __future__ import annotations
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Effect
+from bristle.plant.effects.presliding import bristles
+from bristle.plant.law import FrictionLaw
+
+
+def replacement(law: FrictionLaw) -> FrictionLaw:
+    """Fc Sgn v becomes sigma0 z + sigma1 z', z' = v - sigma0 |v| z / Fc.
+
+    Source: canudas1995 (LuGre with Fs = Fc).
+    """
+    return bristles(law, "bristle_damping", "bristle_damping.stiffness", "bristle_damping.damping")
+
+
+EFFECT = Effect(
+    "bristle_damping",
+    "elastic, damped motion before it slides",
+    "canudas1995",
+    group="presliding/bristle_damping",
+    equation="F = sigma0 z + sigma1 z', z' = v - sigma0 |v| z / Fc",
+    residual=("history", "a"),
+    excitation="small fast motion; rarely identifiable",
+    confounded=("presliding",),
+    parameters=(
+        Parameter("bristle_damping.stiffness", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "stiffness of the bristles", "canudas1995"),
+        Parameter("bristle_damping.damping", "sigma1", "N.m.s/rad", 0.01, 0.0, 1e6, "damping of the bristles", "canudas1995"),
+    ),
+    law=replacement,
+)

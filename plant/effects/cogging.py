@@ -1,0 +1,37 @@
+"""Torque that repeats from pole to pole."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def torque(c: Context) -> ca.SX:
+    """T = A1 sin(N theta + phi1) + A2 sin(2 N theta + phi2).
+
+    Source: krishnan2010 (cogging torque, first two terms of its Fourier series).
+    """
+    angle = c.p.periods * c.theta
+    return ca.SX(c.p.amplitude * ca.sin(angle + c.p.phase) + c.p.amplitude2 * ca.sin(2 * angle + c.p.phase2))
+
+
+EFFECT = Effect(
+    "cogging",
+    "torque that repeats from pole to pole",
+    "krishnan2010",
+    group="cogging",
+    equation="T = A1 sin(N theta + phi1) + A2 sin(2 N theta + phi2)",
+    residual=("theta",),
+    excitation="a slow pass over many periods",
+    confounded=("position_friction", "gravity", "eccentric_encoder"),
+    parameters=(
+        Parameter("cogging.amplitude", "A1", "N.m", 0.001, -1e6, 1e6, "amplitude of the first term", "krishnan2010"),
+        Parameter("cogging.phase", "phi1", "rad", 0.0, -10.0, 10.0, "phase of the first term", "krishnan2010"),
+        Parameter("cogging.periods", "N", "1", 7.0, 1.0, 1e4, "periods in a turn", "krishnan2010"),
+        Parameter("cogging.amplitude2", "A2", "N.m", 0.0, -1e6, 1e6, "amplitude of the second term", "krishnan2010"),
+        Parameter("cogging.phase2", "phi2", "rad", 0.0, -10.0, 10.0, "phase of the second term", "krishnan2010"),
+    ),
+    torque=torque,
+)

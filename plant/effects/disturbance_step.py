@@ -1,0 +1,35 @@
+"""A torque that sets in at some time and stays."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def torque(c: Context) -> ca.SX:
+    """T = D clip((t - t0)/rise, 0, 1): a step with a short ramp, so that it can be differentiated by t0.
+
+    Source: astrom2008 (load disturbance).
+    """
+    return ca.SX(c.p.torque * ca.fmin(ca.fmax((c.time - c.p.onset) / c.p.rise, 0), 1))
+
+
+EFFECT = Effect(
+    "disturbance_step",
+    "a torque that sets in at some time and stays",
+    "astrom2008",
+    group="disturbance_step",
+    equation="T = D clip((t - t0)/rise, 0, 1)",
+    residual=("t",),
+    excitation="a record that lasts beyond the onset",
+    confounded=("friction_drift", "bias"),
+    parameters=(
+        Parameter("disturbance_step.torque", "D", "N.m", 0.005, -1e6, 1e6, "torque after the onset", "astrom2008"),
+        Parameter("disturbance_step.onset", "t0", "s", 0.5, -1e6, 1e6, "time of the onset", "astrom2008"),
+        Parameter("disturbance_step.rise", "rise", "s", 1e-3, 1e-6, 1e3, "duration of the ramp", "astrom2008"),
+    ),
+    load_side=True,
+    torque=torque,
+)

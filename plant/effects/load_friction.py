@@ -1,0 +1,32 @@
+"""Dry friction that grows with the torque a gear transmits."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def bound(c: Context) -> ca.SX:
+    """mu |T_motor|.
+
+    Source: duclusaud2024 (load-dependent friction, here by the motor's torque alone).
+    """
+    return ca.SX(c.p.coefficient * ca.fabs(c.torque))
+
+
+EFFECT = Effect(
+    "load_friction",
+    "dry friction that grows with the transmitted torque",
+    "duclusaud2024",
+    group="load_friction",
+    equation="mu |T_motor| sgn v",
+    residual=("u x direction",),
+    excitation="varied load at equal speed",
+    confounded=("gain_asymmetry", "back_emf"),
+    parameters=(
+        Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted torque", "duclusaud2024"),
+    ),
+    bound=bound,
+)

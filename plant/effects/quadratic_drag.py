@@ -1,0 +1,32 @@
+"""Drag that grows with the square of the speed."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def torque(c: Context) -> ca.SX:
+    """T = -c v |v|.
+
+    Source: white2011 (drag of a body in turbulent flow).
+    """
+    return ca.SX(-c.p.coefficient * c.v * ca.fabs(c.v))
+
+
+EFFECT = Effect(
+    "quadratic_drag",
+    "drag that grows with the square of the speed",
+    "white2011",
+    group="quadratic_drag",
+    equation="T = -c v |v|",
+    residual=("v",),
+    excitation="a wide range of speeds",
+    confounded=("stribeck", "back_emf"),
+    parameters=(
+        Parameter("quadratic_drag.coefficient", "c", "N.m.s2/rad2", 2e-4, 0.0, 1e6, "torque over speed squared", "white2011"),
+    ),
+    torque=torque,
+)

@@ -1,0 +1,34 @@
+"""More dry friction at low speed."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter
+from bristle.plant.effect import Context, Effect
+
+
+def factor(c: Context) -> tuple[ca.SX, ca.SX]:
+    """Fc (1 + e exp(-(v/vs)^2)), with e = Fs/Fc - 1.
+
+    Source: armstrong1994 (Stribeck curve, Gaussian form).
+    """
+    value = 1 + c.p.excess * ca.exp(-((c.v / c.p.speed) ** 2))
+    return value, value
+
+
+EFFECT = Effect(
+    "stribeck",
+    "more dry friction at low speed",
+    "armstrong1994",
+    group="stribeck",
+    equation="Fc (1 + e exp(-(v/vs)^2)) sgn v",
+    residual=("v",),
+    excitation="creep and reversals",
+    confounded=("quadratic_drag", "dead_zone", "presliding"),
+    parameters=(
+        Parameter("stribeck.excess", "e", "1", 0.5, -1.0, 100.0, "static over Coulomb friction, less one", "armstrong1994"),
+        Parameter("stribeck.speed", "vs", "rad/s", 0.3, 1e-6, 1e6, "Stribeck velocity", "armstrong1994"),
+    ),
+    factor=factor,
+)
