@@ -90,6 +90,20 @@ def amplification(seeds: Sequence[int]) -> None:
                 print(f"| {wrong}, {plant}, order {order} | {' | '.join(cells)} |", flush=True)
 
 
+def wandering(seeds: Sequence[int]) -> None:
+    """Print how far step 1's b is from the truth while step 2 runs (set S, order 1, after 100 s)."""
+    program = observer_program("two_step")
+    rms, largest = [], []
+    for seed in seeds:
+        data = {name: values for name, values in record("S", 1, seed, 200.0).items() if name != "encoder"}
+        out, _ = Native(program).run(STEP, data, ["b_hat"])
+        error = 100.0 * (out[round(100.0 / STEP) :, 0] / TRUE["S"]["b"] - 1.0)
+        rms.append(float(np.sqrt(np.mean(error**2))))
+        largest.append(float(np.max(np.abs(error))))
+    spread = f"rms {min(rms):.3f} to {max(rms):.3f} %, largest {min(largest):.2f} to {max(largest):.2f} %"
+    print(f"\nerror of b after 100 s, set S, order 1: {spread}")
+
+
 def main() -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -103,6 +117,7 @@ def main() -> int:
         print(text, flush=True)
         results.append(good)
     amplification(seeds)
+    wandering(seeds)
     return 0 if all(results) else 1
 
 

@@ -30,7 +30,6 @@ V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e4, 1e4, "velocity at the s
 COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
 
 
-
 def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()) -> System:
     """Compose a law and effects into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2 v, theta' = v.
 
