@@ -9,10 +9,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from records import STEP, TRUE, record
-
-from bristle.model.native import Native
-from bristle.observer import observer_program
+from records import TRUE, observe, record
 
 STEP1 = ("alpha2", "b", "Fc")
 STEP2 = ("sigma0", "sigma1", "sigma2", "c")
@@ -40,17 +37,11 @@ STARTS = {
 def worst(method: str, names: Sequence[str], seconds: float, given: Mapping[str, float], seeds: Sequence[int]) -> str:
     """Return "largest error at the end in % / last time an error exceeds 5 %" over S, R, both orders and all seeds."""
     error, settling = 0.0, 0.0
-    program = observer_program(method)
-    parameters = {f"{method}.{name}": value for name, value in given.items()}
-    for plant, truth in TRUE.items():
+    for plant in TRUE:
         for order in (1, 2):
             for seed in seeds:
-                data = record(plant, order, seed, seconds)
-                out, _ = Native(program, parameters).run(STEP, {n: data[n] for n in ("u", "y_v")}, [f"{n}_hat" for n in names])
-                off = 100.0 * np.abs(out[1:] / [truth[n] for n in names] - 1.0)
-                late = np.flatnonzero(~(off.max(axis=1) <= 5.0))
-                error = max(error, float(off[-1].max()))
-                settling = max(settling, (late[-1] + 1) * STEP if len(late) else 0.0)
+                final, late = observe(method, names, record(plant, order, seed, seconds), plant, given)
+                error, settling = max(error, float(np.abs(final).max())), max(settling, float(late.max()))
     return f"{error:.2f} / {settling:.0f}"
 
 

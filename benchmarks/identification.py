@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from records import STEP, TRUE, record
+from records import STEP, TRUE, observe, record
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
@@ -46,19 +46,14 @@ CASES = (
 )
 
 
-def observe(
+def run_case(
     case: Case, plant: str, order: int, seed: int, known: dict[str, float] = KNOWN
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (error at the end in %, last time the error exceeds 5 %) of each parameter."""
-    data = dict(record(plant, order, seed, case.seconds))
-    encoder = data.pop("encoder")
+    data = record(plant, order, seed, case.seconds)
     if case.encoder:
-        data["y_theta"] = encoder
-    instance = Native(observer_program(case.method), {f"{case.method}.{name}": known[name] for name in case.known})
-    out, _ = instance.run(STEP, data, [f"{name}_hat" for name in case.names])
-    error = 100.0 * (out[1:] / [TRUE[plant][name] for name in case.names] - 1.0)  # row k is the estimate for t_k
-    late = [np.flatnonzero(~(np.abs(column) <= 5.0)) for column in error.T]
-    return error[-1], np.array([(rows[-1] + 1) * STEP if len(rows) else 0.0 for rows in late])
+        data = data | {"y_theta": data["encoder"]}
+    return observe(case.method, case.names, data, plant, {name: known[name] for name in case.known})
 
 
 def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
@@ -66,7 +61,7 @@ def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
     cells, good = [], True
     for plant in TRUE:
         for order in (1, 2):
-            found = [observe(case, plant, order, seed) for seed in seeds]
+            found = [run_case(case, plant, order, seed) for seed in seeds]
             worst = max(float(np.max(np.abs(error))) for error, _ in found)
             settled = max(float(np.max(times)) for _, times in found)
             good &= bool(worst <= (case.error or np.inf) and settled <= (case.settling or np.inf))
@@ -84,7 +79,7 @@ def amplification(seeds: Sequence[int]) -> None:
             for order in (1, 2):
                 disturbed = KNOWN | {wrong: 1.01 * KNOWN[wrong]}
                 moved = [
-                    observe(step2, plant, order, seed, disturbed)[0] - observe(step2, plant, order, seed)[0] for seed in seeds
+                    run_case(step2, plant, order, seed, disturbed)[0] - run_case(step2, plant, order, seed)[0] for seed in seeds
                 ]
                 cells = (f"{m:+.1f} ({w:.0f})" for m, w in zip(np.mean(moved, 0), np.max(np.abs(moved), 0), strict=True))
                 print(f"| {wrong}, {plant}, order {order} | {' | '.join(cells)} |", flush=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from bristle.fmus import obtain
 from bristle.harness.fmu import Fmu
 from bristle.harness.loop import Bus, Instance, simulate
+from bristle.model.native import Native
+from bristle.observer import observer_program
 
 STEP = 1e-3
 SERVO = {"J": 0.001, "b": 0.0065, "a2": 0.002}  # alpha2 = 2 1/s, b = 6.5 rad/(s2.V)
@@ -51,3 +54,19 @@ def record(plant: str, order: int, seed: int, seconds: float) -> dict[str, NDArr
         raise RuntimeError(trace.failure.message)
     names = ("u", "y_theta", "y_v", "encoder")
     return {name: np.ascontiguousarray(trace.values[:, i]) for i, name in enumerate(names)}
+
+
+def observe(
+    method: str, names: Sequence[str], data: Mapping[str, NDArray[np.float64]], plant: str, given: Mapping[str, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (error at the end in %, last time the error exceeds 5 %) of each parameter of a method on a record.
+
+    A parameter that is still outside at the end counts as settling after the record; `given` are parameters of the
+    method, without its name.
+    """
+    instance = Native(observer_program(method), {f"{method}.{name}": value for name, value in given.items()})
+    inputs = {name: data[name] for name in ("u", "y_theta", "y_v")}
+    out, _ = instance.run(STEP, inputs, [f"{name}_hat" for name in names])
+    error = 100.0 * (out[1:] / [TRUE[plant][name] for name in names] - 1.0)  # row k is the estimate for t_k
+    late = [np.flatnonzero(~(np.abs(column) <= 5.0)) for column in error.T]
+    return error[-1], np.array([(rows[-1] + 1) * STEP if len(rows) else 0.0 for rows in late])

@@ -50,15 +50,14 @@ def step(shop: Workshop, s: Sample, f: zhang.Filter, alpha2: SX, b: SX) -> dict[
     return zhang.write(x + ups @ (new - theta), ups, new, mean, zhang.averaging_weight(p, s.period))
 
 
-def published(p: Namespace, alpha2: SX, b: SX) -> tuple[dict[str, SX], dict[str, SX]]:
+def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals): the averaged parameters, and the state estimates of the moment."""
-    estimates = {name: p[f"mean_{name}"] for name in zhang.NAMES}
-    return estimates, {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
+    return zhang.averaged(p), {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:
     p = shop.p
-    estimates, signals = published(p, p.alpha2, p.b)
+    estimates, signals = published(p, p.alpha2)
     return Update(step(shop, s, filter_of(shop, s), p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
 
 

@@ -80,8 +80,7 @@ def step(shop: Workshop, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
 
 def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals)."""
-    estimates = {name: p[f"mean_{name}"] for name in zhang.NAMES}
-    return estimates, {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + alpha2 * p.x1}
+    return zhang.averaged(p), {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + alpha2 * p.x1}
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:

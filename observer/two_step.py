@@ -22,7 +22,7 @@ def begun(shop: Workshop, s: Sample) -> SX:
 
 
 def when(go: SX, update: dict[str, SX], rest: dict[str, SX]) -> dict[str, SX]:
-    """Return the update where step 2 runs and `rest` (or the present value) where it waits."""
+    """Return the update where step 2 runs and `rest` where it waits."""
     return {name: ca.if_else(go, value, rest[name]) for name, value in update.items()}
 
 
@@ -37,7 +37,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     go = begun(shop, s)
     alpha2, b = p.step1_alpha2, p.step1_b
     step2 = besancon.step(shop, s, besancon.filter_of(shop, s), alpha2, b)
-    estimates, signals = besancon.published(p, alpha2, b)
+    estimates, signals = besancon.published(p, alpha2)
     return Update(
         next=bastin_gevers.adapt(p, s, p.vc) | when(go, step2, waiting(shop, s.y1)),
         estimates={name: p[f"step1_{name}"] for name in bastin_gevers.NAMES} | estimates,

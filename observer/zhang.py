@@ -116,6 +116,11 @@ def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
     }
 
 
+def averaged(p: Namespace) -> dict[str, SX]:
+    """Return the published averages by name."""
+    return {name: p[f"mean_{name}"] for name in NAMES}
+
+
 def known_parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare alpha2 and b, which a step-2 method takes as known."""
     return (
