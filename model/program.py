@@ -23,6 +23,9 @@ from bristle.model.variables import Parameter, Variable
 SX = ca.SX
 
 
+ALWAYS = ("derive", "start", "outputs")  # functions that are present even where they have nothing to do
+
+
 @dataclass(frozen=True)
 class Slot:
     """One place of `v[]`: kind is time, selector, parameter, calculated, hidden, input, output, state, der, sampled or mode."""
@@ -61,6 +64,10 @@ class Variant:
     max_step: int = -1
     max_steps: int = -1
     friction_step: int = -1
+
+    def kept(self) -> dict[str, Kernel]:
+        """Return the functions the core can call: those with something to do, and those it calls always."""
+        return {name: kernel for name, kernel in self.kernels.items() if kernel.blocks or name in ALWAYS}
 
 
 def _own(system: System, name: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bristle.model.emit import emit_python
 from bristle.model.program import Kernel, Program
-from bristle.model.sources import ALWAYS, KERNELS
+from bristle.model.sources import KERNELS
 
 
 def python_source(program: Program) -> str:
@@ -18,7 +18,7 @@ def python_source(program: Program) -> str:
     text = [f'"""{program.name}: the equations (generated)."""', "", "import math", "", ""]
     entries = []
     for variant in program.variants:
-        kept = {n: k for n, k in variant.kernels.items() if k.blocks or n in ALWAYS}
+        kept = variant.kept()
         text += [emit_python(kernel) for kernel in kept.values()]
         pairs = [f'"name": "{variant.system.name}"']
         pairs += [f'"{n}": {kept[n].name if n in kept else None}' for n in KERNELS]
@@ -53,10 +53,8 @@ def casadi_tables(program: Program) -> SimpleNamespace:
     variants = []
     for variant in program.variants:
         entry: dict[str, Any] = {"name": variant.system.name}
-        for name in KERNELS:
-            kernel = variant.kernels.get(name)
-            kept = kernel is not None and (kernel.blocks or name in ALWAYS)
-            entry[name] = _evaluator(kernel) if kernel is not None and kept else None
+        kept = variant.kept()
+        entry |= {name: _evaluator(kept[name]) if name in kept else None for name in KERNELS}
         entry |= {n: list(getattr(variant, n)) for n in ("states", "ders", "finite")}
         entry |= {n: getattr(variant, n) for n in ("sample_time", "max_step", "max_steps", "friction_step")}
         variants.append(entry)

@@ -9,7 +9,6 @@ from bristle.model.emit import emit_c
 from bristle.model.program import Program, Variant
 
 KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian")
-ALWAYS = ("derive", "start", "outputs")  # present even where they have nothing to do
 
 
 def _list(values: Sequence[int]) -> str:
@@ -21,8 +20,8 @@ def _variant(variant: Variant) -> tuple[str, str]:
     name = variant.system.name
     groups = {"states": variant.states, "ders": variant.ders, "finite": variant.finite}
     tables = "".join(f"static const int {name}_{group}[] = {_list(places)};\n" for group, places in groups.items())
-    used = {k: variant.kernels[k] for k in KERNELS if k in variant.kernels}
-    pointers = [used[k].name if k in used and (used[k].blocks or k in ALWAYS) else "0" for k in KERNELS]
+    kept = variant.kept()
+    pointers = [kept[k].name if k in kept else "0" for k in KERNELS]
     numbers = [len(variant.states), len(variant.finite), *(f"{name}_{group}" for group in groups)]
     places = [variant.sample_time, variant.max_step, variant.max_steps, variant.friction_step]
     return tables, "    {" + ", ".join(map(str, [*pointers, *numbers, *places])) + "}"
@@ -46,7 +45,7 @@ def c_sources(program: Program) -> dict[str, str]:
     body = [f"/* {program.name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
     entries = []
     for variant in program.variants:
-        body += [emit_c(kernel) for name, kernel in variant.kernels.items() if kernel.blocks or name in ALWAYS]
+        body += [emit_c(kernel) for kernel in variant.kept().values()]
         tables, entry = _variant(variant)
         body.append(tables)
         entries.append(entry)
