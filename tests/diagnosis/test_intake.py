@@ -77,7 +77,7 @@ def test_files_in_their_own_units(tree, tmp_path):
 
 def test_a_velocity_is_neither_unwrapped_nor_mistaken(tree):
     tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
-    t, u, y = motion()
+    t, u, _ = motion()
     v = np.where(np.arange(N) // 1500 % 2 == 0, 3.0, -3.2831853) + 0.001 * np.sin(t)
     record = one(Model.from_dict(tree), t, u, v)
     np.testing.assert_array_equal(record.y, v)
@@ -194,7 +194,7 @@ def test_nearly_the_same_rate_is_the_same(model):
         (lambda t, u, y: (t[::-1], u, y), ["falls back at sample 1", "sort"]),
         (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["falls back at sample 3001", "two runs"]),
         (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
-        (lambda t, u, y: (np.sort(np.random.default_rng(1).random(N)) * 6, u, y), ["scatter by", "steady clock"]),
+        (lambda t, u, y: (t + 0.8 * H * (np.arange(N) % 2), u, y), ["scatter by 63%", "steady clock"]),
         (lambda t, u, y: (np.where(np.arange(N) == 70, np.nan, t), u, y), ["time is not finite at sample 70"]),
         (lambda t, u, y: (t, np.where(np.arange(N) == 71, np.inf, u), y), ["input is not finite at sample 71"]),
         (lambda t, u, y: (t, u, np.where(np.arange(N) % 100 == 72, np.nan, y)), ["output is not finite at sample 72 (60 such"]),
@@ -284,7 +284,7 @@ def test_spikes_are_taken_out(model):
     bad[1000] += 0.5
     bad[3000:3002] -= 2.0
     record = one(model, t, u, bad)
-    only(record, "at 2 samples", "first at sample 1000, 1 s")
+    only(record, "at 2 places", "first at sample 1000, 1 s")
     np.testing.assert_allclose(record.y, y, atol=4 * STEP)
 
 
@@ -316,7 +316,7 @@ def test_the_resolution_is_compared_with_the_model(tree):
     only(one(Model.from_dict(tree), t, u, counts(y)), "comes in steps of 0.001534 rad", "correct the resolution or the unit")
 
 
-@pytest.mark.parametrize("step", [1e-6, 0.7e-4, 3.3e-3])
+@pytest.mark.parametrize("step", [0.7e-4, 3.3e-3, 0.1])
 @pytest.mark.parametrize("offset", [0.0, 0.123456789, -1000.0])
 def test_the_resolution_is_found(step, offset, model):
     t, u, y = motion()
@@ -333,7 +333,7 @@ def test_a_lost_reading_is_reported(model):
 
 def test_rest_under_a_sweeping_input_is_reported(model):
     t, u, y = motion(n=9000)
-    resting = np.where((t > 3) & (t < 6), y[3000], np.where(t < 3, y, y - y[6000] + y[3000]))
+    resting = np.concatenate([y[:3000], np.full(3000, y[3000]), y[6000:] - y[6000] + y[3000]])
     line = [each for each in one(model, t, u, counts(resting)).findings if "stands still" in each]
     assert len(line) == 1
     quiet = np.where((t > 3) & (t < 6), 0.1 * u, u)  # stiction under a small input is ordinary
