@@ -112,3 +112,10 @@ def test_a_velocity_gives_the_same(tree, model):
     for key in ("reversals", "forward_share", "rest_share"):
         assert two[key] == pytest.approx(one[key], abs=0.01)
     assert two["range_travelled"]["value"] == pytest.approx(one["range_travelled"]["value"], rel=1e-3)
+
+
+def test_noise_does_not_reverse(tree):
+    tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
+    t, u, y = swing()
+    v = np.gradient(y, H) + 1.0 * np.random.default_rng(1).standard_normal(len(t))
+    assert described(Model.from_dict(tree), t, u, v)["reversals"] == pytest.approx(40, abs=2)

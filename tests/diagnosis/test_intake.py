@@ -293,6 +293,8 @@ def test_noise_and_steps_are_no_spikes(model):
     rng = np.random.default_rng(3)
     noisy = y + 1e-3 * rng.standard_normal(N)
     assert one(model, t, u, noisy).findings == ()
+    heavy = y + 1e-3 * rng.standard_t(5, N)  # with tails, as disturbances have
+    assert one(model, t, u, heavy).findings == ()
     slow = counts(0.02 * np.sin(t))  # flickers between neighbouring counts
     flicker = slow + STEP * (rng.random(N) < 0.01)
     assert one(model, t, u, flicker).findings == ()
