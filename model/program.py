@@ -88,6 +88,8 @@ class Program:
         Name of the parameter that chooses the variant; needed for more than one.
     sensitivities : sequence of str, optional
         Parameters for which the derivative of the internal step is generated too.
+    observed : str, optional
+        Output whose derivative by states and these parameters is generated too.
     """
 
     def __init__(
@@ -97,12 +99,13 @@ class Program:
         selector: str | None = None,
         description: str = "",
         sensitivities: Sequence[str] = (),
+        observed: str | None = None,
     ) -> None:
         if len(systems) > 1 and selector is None:
             raise BristleError(f"program '{name}' has {len(systems)} variants and needs a selector name")
         self.name, self.description = name, description or systems[0].description
         self.selector = selector if len(systems) > 1 else None
-        self.sensitivities = tuple(sensitivities)
+        self.sensitivities, self.observed = tuple(sensitivities), observed
         self.slots: list[Slot] = []
         self.index: dict[str, int] = {}
         self._layout(systems)
@@ -207,7 +210,9 @@ class Program:
             step = ca.vertcat(proximal(system, h), 0) if system.dry else ca.vertcat(*rodas(system, h))
             add("step", [(step, range(n + 1))], to_output=True)
             if self.sensitivities:
-                add("step_jacobian", [self._step_jacobian(system, step[:n])], to_output=True)
+                add("step_jacobian", [self._derivative(system, step[:n])], to_output=True)
+            if self.sensitivities and self.observed:
+                add("seen_jacobian", [self._derivative(system, system.outputs[self.observed][1])], to_output=True)
         if system.smooth:
             add("rates", [(system.rate_vector(), range(n))], to_output=True)
             unknowns = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
@@ -216,13 +221,13 @@ class Program:
             add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
         return variant
 
-    def _step_jacobian(self, system: System, step: SX) -> tuple[SX, range]:
-        """Return d(x after the step)/d(x, chosen parameters), row-major; the constants' dependence is included."""
+    def _derivative(self, system: System, values: SX) -> tuple[SX, range]:
+        """Return d(values)/d(x, chosen parameters), row-major; the constants' dependence is included."""
         for name in self.sensitivities:
             if name not in system.parameters:
                 raise BristleError(f"'{name}' is no parameter of '{system.name}'; known: {', '.join(system.parameters)}")
         knowns = system.vector([*system.states, *self.sensitivities])
-        jacobian = ca.jacobian(system.expand(step), knowns)
+        jacobian = ca.jacobian(system.expand(values), knowns)
         return ca.vec(jacobian.T), range(jacobian.numel())
 
     # -- identity ----------------------------------------------------------------------------------------------------

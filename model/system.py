@@ -27,7 +27,7 @@ MAX_STEPS = Parameter(
 )
 FRICTION_STEP = Parameter(
     "solver.friction_step", "h", "s", 1e-4, 1e-7, 1e-2,
-    "internal step of the set-valued friction (first-order accurate)", "moreau1988"
+    "internal step of the set-valued friction (second-order accurate)", "moreau1988"
 )
 
 

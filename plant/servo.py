@@ -133,9 +133,16 @@ def _true_values(system: System, true: dict[str, SX]) -> None:
 
 
 def servo_program(
-    law: str | None = None, *, encoder: bool = True, effects: Sequence[str] = (), sensitivities: tuple[str, ...] = ()
+    law: str | None = None,
+    *,
+    encoder: bool = True,
+    effects: Sequence[str] = (),
+    sensitivities: tuple[str, ...] = (),
+    observed: str | None = None,
 ) -> Program:
     """Return the servo as a program: all laws behind the selector `law`, or one law alone, with effects by name.
+
+    `sensitivities` and `observed` as of `Program`.
 
     Raises
     ------
@@ -146,7 +153,8 @@ def servo_program(
     if law is not None:
         system = servo(find_law(law), encoder, added)
         name = "_".join(["ServoPlant", law, *sorted(effects)])
-        return Program(name, [system], description=f"servo with {system.description}", sensitivities=sensitivities)
+        about = f"servo with {system.description}"
+        return Program(name, [system], description=about, sensitivities=sensitivities, observed=observed)
     if added:
         raise BristleError(f"effect '{added[0].name}' joins one friction law; choose a law")
     systems = [servo(each, encoder) for each in laws().values()]

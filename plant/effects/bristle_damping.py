@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Effect
-from bristle.plant.effects.presliding import bristles
+from bristle.plant.effect import Effect, Evidence
+from bristle.plant.effects.presliding import bristles, displacements
 from bristle.plant.law import FrictionLaw
 
 
@@ -14,6 +14,12 @@ def replacement(law: FrictionLaw) -> FrictionLaw:
     Source: canudas1995 (LuGre with Fs = Fc).
     """
     return bristles(law, "bristle_damping", "bristle_damping.stiffness", "bristle_damping.damping")
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return bristles as presliding has them, half damped."""
+    stiffness = [e.level / reach for reach in displacements(e)]
+    return [{"stiffness": k, "damping": (k * e.inertia) ** 0.5} for k in stiffness]
 
 
 EFFECT = Effect(
@@ -30,4 +36,5 @@ EFFECT = Effect(
         Parameter("bristle_damping.damping", "sigma1", "N.m.s/rad", 0.01, 0.0, 1e6, "damping of the bristles", "canudas1995"),
     ),
     law=replacement,
+    starts=starts,
 )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.errors import BristleError
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.effect import Effect
+from bristle.plant.effect import Effect, Evidence
 from bristle.plant.law import Friction, FrictionLaw
 
 SX = ca.SX
@@ -45,6 +46,17 @@ def replacement(law: FrictionLaw) -> FrictionLaw:
     return bristles(law, "presliding", "presliding.stiffness")
 
 
+def displacements(e: Evidence) -> list[float]:
+    """Return displacements [rad] at which bristles may slide: from a few steps of the sensor to a tenth of the range."""
+    widest = max(0.1 * float(np.ptp(e.theta)), 20 * e.resolution)
+    return [float(x) for x in np.geomspace(3 * e.resolution, widest, 5)]
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return bristles that slide after a few steps of the sensor, up to a good part of the range."""
+    return [{"stiffness": e.level / reach} for reach in displacements(e)]
+
+
 EFFECT = Effect(
     "presliding",
     "elastic motion before it slides",
@@ -58,4 +70,5 @@ EFFECT = Effect(
         Parameter("presliding.stiffness", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "stiffness of the bristles", "canudas1995"),
     ),
     law=replacement,
+    starts=starts,
 )
