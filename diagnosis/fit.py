@@ -62,6 +62,8 @@ class Fit:
         Measured less simulated averages at the fitted start states.
     white, by_parameter, by_start : ndarray
         Whitened residual (segments, bins), its derivatives (segments, bins, free) and (segments, bins, 2).
+    raw_by_start : ndarray, shape (segments, bins, 2)
+        Derivative of the averages by the start states.
     weight : ndarray, shape (segments,)
         Weight of each segment in the least squares; 0 where it is not judged.
     information : ndarray, shape (free, free)
@@ -76,6 +78,7 @@ class Fit:
     white: Array
     by_parameter: Array
     by_start: Array
+    raw_by_start: Array
     weight: Array
     information: Array
     simulator: Simulator
@@ -103,25 +106,8 @@ class Problem:
         return replace(self, judged=mask)
 
 
-def eliminate(white: Array, columns: Array, by_start: Array, prior: Array) -> tuple[Array, Array, Array, Array]:
-    """Take the start states out of a least-squares problem, segment by segment.
-
-    Parameters: whitened residual (s, n), columns (s, n, p), by_start (s, n, 2), prior precision of start states (s, 2).
-    Returns (gain (s, 2, 2) with which start states answer, columns and residual freed of them, gradient (s, 2)).
-
-    Source: golub2003 (variable projection).
-    """
-    normal = np.einsum("sni,snj->sij", by_start, by_start)
-    normal[:, [0, 1], [0, 1]] += prior
-    gain = np.linalg.inv(normal)
-    move = np.einsum("sni,sn->si", by_start, white)
-    cross = np.einsum("sni,snp->sip", by_start, columns)
-    left = columns - np.einsum("sni,sij,sjp->snp", by_start, gain, cross)
-    rest = white - np.einsum("sni,sij,sj->sn", by_start, gain, move)
-    return gain, left, rest, move
-
-
-def _evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], values: dict[str, float], starts: Array) -> Fit:
+def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], values: dict[str, float], starts: Array) -> Fit:
+    """Simulate and return where it stands, without moving anything."""
     seen, sens, good = simulator.run(values, starts, jacobian=True)
     assert sens is not None
     good = good & np.isfinite(seen).all(axis=1) & np.isfinite(sens).all(axis=(1, 2))
@@ -148,7 +134,7 @@ def _evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], va
     information = np.einsum("s,snp,snq->pq", weight, by_parameter, by_parameter) - np.einsum("s,sip,siq->pq", weight, cross, answer)
     prior, curve = _knowledge(free, values)
     return Fit(
-        values, free, starts, np.where(problem.judged, score, 0.0), residual, white, by_parameter, by_start, weight,
+        values, free, starts, np.where(problem.judged, score, 0.0), residual, white, by_parameter, by_start, sens[:, :, -2:], weight,
         information + np.diag(curve), simulator, prior,
     )  # fmt: skip
 
@@ -211,6 +197,7 @@ def refit(
     values: Mapping[str, float],
     starts: Array,
     iterations: int = ITERATIONS,
+    first: Fit | None = None,
 ) -> Fit:
     """Maximise the likelihood of the judged segments from the given values and start states.
 
@@ -220,12 +207,12 @@ def refit(
     Source: lange1989 (robust regression by the t distribution), golub2003 (elimination of start states).
     """
     begin = {**values, **{f.name: f.inside(values[f.name]) for f in free}}
-    fit, damping = _evaluate(problem, simulator, free, begin, starts), problem.damping
+    fit, damping = first or evaluate(problem, simulator, free, begin, starts), problem.damping
     for _ in range(iterations):
         step, back, promise = _direction(problem, fit, damping)
         limit = 4 * problem.spread
         around = np.clip(fit.starts + back, problem.starts - limit, problem.starts + limit)
-        trial = _evaluate(problem, simulator, free, _moved(fit, step), around)
+        trial = evaluate(problem, simulator, free, _moved(fit, step), around)
         gain = trial.total - fit.total
         if gain > 0:
             fit, damping = trial, damping / 5
