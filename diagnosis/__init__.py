@@ -1,8 +1,8 @@
 """Measured records against a model: where they disagree, the name of what is missing, and the model with it added."""
 
-from bristle.diagnosis.diagnose import diagnose
 from bristle.diagnosis.intake import Record, load_records, records_from_arrays
 from bristle.diagnosis.modelfile import Model, load_model
 from bristle.diagnosis.result import Diagnosis
+from bristle.diagnosis.workflow import diagnose
 
 __all__ = ["Diagnosis", "Model", "Record", "diagnose", "load_model", "load_records", "records_from_arrays"]

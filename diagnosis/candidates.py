@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit
+from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, promise, refit
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.null import directions
 from bristle.diagnosis.segments import Segments, Simulator
@@ -19,23 +19,38 @@ from bristle.plant.effects import effect as find_effect
 Array = NDArray[np.float64]
 
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
-FINALISTS = 2  # starts that are followed to the end
+FINALISTS = 2  # starts from which a step is taken
 LIMITS = {"share": (0.02, 0.9), "dissipation": (1e-3, 1e3)}
+
+
+RIGID = "bristle_damping"  # friction of a real servo bends a little before it slides: part of every model here
+ELASTIC = ("presliding", "bristle_damping")  # effects that bend more than the sensor can overlook
 
 
 @dataclass(frozen=True)
 class Servo:
-    """The model that candidates join: its law, effects, free parameters and everything that stays."""
+    """The model that candidates join: its law, effects, free parameters and everything that stays.
+
+    `rigid`: the set-valued friction has bristles that bend by less than the sensor's step; no model of rigid friction
+    agrees with another more closely than that, and without them each effect would be asked to explain it.
+    """
 
     law: str
     effects: tuple[str, ...]
     base: tuple[str, ...]
     free: tuple[Free, ...]
     fixed: Mapping[str, float]
+    rigid: bool
 
     def simulator(self, segments: Segments, more: tuple[str, ...] = ()) -> Simulator:
         """Return a simulator of the servo with more effects added."""
-        return Simulator(self.law, (*self.effects, *more), segments, self.base, self.fixed)
+        effects = (*self.effects, *more)
+        bent = self.rigid and not set(effects) & set(ELASTIC)
+        return Simulator(self.law, (*effects, RIGID) if bent else effects, segments, self.base, self.fixed)
+
+    def own(self, name: str) -> tuple[Free, ...]:
+        """Return the free parameters that stay when an effect joins."""
+        return tuple(f for f in self.free if name not in ELASTIC or not f.name.startswith(f"{RIGID}."))
 
 
 @dataclass(frozen=True)
@@ -93,25 +108,31 @@ def starts(name: str, e: Evidence) -> list[dict[str, float]]:
 
 
 def explore(problem: Problem, servo: Servo, name: str, fit: Fit, lens: Lens, e: Evidence) -> Candidate:
-    """Try an effect from all its starts, follow the best ones, and return the best fit."""
+    """Try an effect from all its starts and take one step from the most promising ones; `follow` goes on from there."""
     try:
         simulator = servo.simulator(fit.simulator.segments, (name,))
     except BristleError as error:
         return Candidate(name, None, refused=str(error))
     defaults = {p.name: p.default for p in find_effect(name).parameters} | _idle(name)
-    trials, banks = [], []
+    trials, banks, own = [], [], servo.own(name)
     for start in starts(name, e):
         free = freedom(name, start)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
         values |= {f.name: f.inside(values[f.name]) for f in free}
-        first = evaluate(problem, simulator, (*fit.free, *free), values, fit.starts)
+        first = evaluate(problem, simulator, (*own, *free), values, fit.starts)
         banks.append(_bank(lens, fit, first, len(free)))
-        trials.append(refit(problem, simulator, first.free, values, fit.starts, iterations=1, first=first))
-    trials.sort(key=lambda trial: -trial.total)
-    ends = [refit(problem, simulator, t.free, t.values, t.starts, first=t) for t in trials[:FINALISTS]]
-    ends = [*ends, *trials[FINALISTS:]]
-    merits = [Candidate(name, end, tuple(banks)) for end in ends]
-    return max(merits, key=lambda candidate: candidate.merit)
+        trials.append((first.total + promise(problem, first), first))
+    trials.sort(key=lambda trial: -trial[0])
+    steps = [refit(problem, simulator, t.free, t.values, t.starts, iterations=1, first=t) for _, t in trials[:FINALISTS]]
+    return Candidate(name, max(steps, key=lambda t: t.total), tuple(banks))
+
+
+def follow(problem: Problem, candidate: Candidate) -> Candidate:
+    """Refit a candidate from where it stands, under whatever noise and judged segments the problem has."""
+    old = candidate.fit
+    if old is None:
+        return candidate
+    return replace(candidate, fit=refit(problem, old.simulator, old.free, old.values, old.starts))
 
 
 def _idle(name: str) -> dict[str, float]:
@@ -126,11 +147,3 @@ def _bank(lens: Lens, fit: Fit, first: Fit, count: int) -> Array:
     columns = np.concatenate([first.by_parameter[:, :, -count:], present], axis=2)
     usable = np.isfinite(columns).all(axis=(1, 2), keepdims=True)
     return directions(lens.free_of_model(lens.freed(np.where(usable, columns, 0.0))), fit.weight)
-
-
-def anew(problem: Problem, candidate: Candidate) -> Candidate:
-    """Refit a candidate under another noise or other judged segments, from where it stands."""
-    old = candidate.fit
-    if old is None:
-        return candidate
-    return replace(candidate, fit=refit(problem, old.simulator, old.free, old.values, old.starts))

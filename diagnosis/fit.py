@@ -182,6 +182,11 @@ def _direction(problem: Problem, fit: Fit, damping: float) -> tuple[Array, Array
     return step, back, promise
 
 
+def promise(problem: Problem, fit: Fit) -> float:
+    """Return the gain that a step from here promises [nats]."""
+    return _direction(problem, fit, problem.damping)[2]
+
+
 def _moved(fit: Fit, step: Array) -> dict[str, float]:
     values = dict(fit.values)
     for f, d in zip(fit.free, step, strict=True):

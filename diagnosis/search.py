@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.candidates import Candidate, Servo, anew, evidence, explore
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, evidence, explore, follow
 from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.segments import Segments
 from bristle.plant.effects import effects as all_effects
+from bristle.plant.friction import law as find_law
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SETTLE = 3  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
+PLAUSIBLE = 0.1  # share of the best gain after one step from which a candidate is refitted
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 APART = 2.3  # standard errors between two candidates' likelihoods that keep them apart
+BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 HELD = 4  # every fourth segment is kept from the search
 
 
@@ -126,6 +130,9 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     reached = [c for c in tried if c.fit is not None]
     if not reached:
         return Verdict(tuple(tried), Null(np.zeros(1)), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
+    best = max(c.fit.total for c in reached if c.fit) - fit.total
+    tried = [follow(stage.problem, c) if c.fit and c.fit.total - fit.total > PLAUSIBLE * best else c for c in tried]
+    reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None
     gain = leader.fit.total - fit.total
@@ -152,7 +159,7 @@ def _under_best_noise(
         assert leader.fit is not None
         noise = bench.noise(leader.fit.residual, leader.fit.weight, leader.fit.values)
         problem = bench.problem(noise, bench.train)
-        contenders = [anew(problem, c) for c in contenders]
+        contenders = [follow(problem, c) for c in contenders]
         best = max(contenders, key=lambda c: c.merit)
         same, leader = best.name == leader.name, best
         if same:
@@ -173,8 +180,8 @@ def _alike(best: Candidate, other: Candidate, plain: Fit) -> bool:
 def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     """Return the servo with an effect added, its noise settled."""
     assert best.fit is not None
-    more = tuple(f for f in best.fit.free if f.name not in {g.name for g in stage.servo.free})
-    servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=(*stage.servo.free, *more))
+    rigid = stage.servo.rigid and best.name not in ELASTIC
+    servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
     noise = bench.noise(best.fit.residual, best.fit.weight, best.fit.values)
     problem = bench.problem(noise, bench.train)
     return Stage(servo, problem, refit(problem, best.fit.simulator, servo.free, best.fit.values, best.fit.starts))
@@ -205,10 +212,23 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
     return stage, rounds
 
 
-def base_servo(law: str, nominal: Mapping[str, float], bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]) -> Servo:
-    """Return a servo whose bounded parameters are free, loosely held by their nominal values."""
+def base_servo(
+    law: str, nominal: Mapping[str, float], bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float], step: float
+) -> tuple[Servo, dict[str, float]]:
+    """Return a servo whose bounded parameters are free, loosely held by their nominal values, and where to start.
+
+    `step` is the sensor's, in position: set-valued friction bends by at most a quarter of it.
+    """
     free = []
     for name, (low, high) in bounds.items():
         doubt = 2.0 * max(abs(nominal[name]), 1e-3 * (high - low), 1e-12)
         free.append(Free(name, low, high, nominal=nominal[name], doubt=doubt))
-    return Servo(law, (), tuple(bounds), tuple(free), fixed)
+    rigid = f"{law}.Fc" in nominal and not find_law(law).states
+    values = dict(nominal)
+    if rigid:
+        least = max(nominal[f"{law}.Fc"], 1e-9) / (BEND * step)
+        values[f"{RIGID}.stiffness"] = 3 * least
+        values[f"{RIGID}.damping"] = damping = (3 * least * nominal["J"]) ** 0.5
+        free.append(Free(f"{RIGID}.stiffness", least, 100 * least, True, math.log(3 * least), 1.0))
+        free.append(Free(f"{RIGID}.damping", 0.0, 30 * damping, False, damping, 2 * damping))
+    return Servo(law, (), tuple(bounds), tuple(free), fixed, rigid), values

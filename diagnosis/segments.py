@@ -181,7 +181,8 @@ class Simulator:
         native, library, bins = self._native, self._native.library, self.segments.bins
         v, n = self._v.copy(), len(piece.seen)
         for name, value in values.items():
-            v[native.program.index[name]] = value
+            if name in native.program.index:
+                v[native.program.index[name]] = value
         v[native.program.index["u"]] = piece.u[0]
         if not self.segments.velocity:
             v[native.program.index["theta_start"]] = starts[0, 0]

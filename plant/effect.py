@@ -129,8 +129,8 @@ class Effect:
         Position and velocity that are measured.
     coupling : function
         Second inertia behind the motor; arguments context, twist (motor - load) and its rate.
-    law : function
-        Replacement of the friction law.
+    bristles : function
+        Stiffness [N.m/rad] and damping [N.m.s/rad] of bristles that stand in for set-valued friction.
     starts : function
         Starting values from data: for each start the parameters that a fit may move, by their short names.
     """
@@ -157,7 +157,7 @@ class Effect:
     bound: Callable[[Context], SX] | None = None
     output: Callable[[Context], tuple[SX, SX]] | None = None
     coupling: Callable[[Context, SX, SX], Coupling] | None = None
-    law: Callable[[FrictionLaw], FrictionLaw] | None = None
+    bristles: Callable[[Context], tuple[SX, SX]] | None = None
     starts: Callable[[Evidence], list[dict[str, float]]] | None = None
 
 
@@ -167,7 +167,7 @@ def arrange(effects: Sequence[Effect]) -> list[Effect]:
     for name in names:
         if names.count(name) > 1:
             raise BristleError(f"effect '{name}' is given twice; give it once")
-    for slot, what in (("coupling", "put a second inertia behind the motor"), ("law", "replace the friction law")):
+    for slot, what in (("coupling", "put a second inertia behind the motor"), ("bristles", "put bristles under the friction")):
         both = sorted(effect.name for effect in effects if getattr(effect, slot) is not None)
         if len(both) > 1:
             raise BristleError(f"effects '{both[0]}' and '{both[1]}' both {what}; choose one of them")
@@ -236,6 +236,20 @@ class Effects:
         own = SX(0) if friction.bound is None else friction.bound
         upper, lower = forward * own + added, backward * own + added
         return scale * friction.force, upper, None if forward is backward else lower
+
+    def bristles(self, law: FrictionLaw, bound: SX | None) -> tuple[SX, SX] | None:
+        """Return (stiffness, damping) of bristles where an effect puts them under the law's set-valued friction."""
+        for effect, c in self.having("bristles"):
+            if law.states:
+                own = "which has bristles of its own; set its parameters"
+                raise BristleError(f"effect '{effect.name}' cannot join law '{law.name}', {own}")
+            if bound is None:
+                raise BristleError(
+                    f"effect '{effect.name}' needs dry friction, which law '{law.name}' does not have; choose another law"
+                )
+            assert effect.bristles is not None
+            return effect.bristles(c)
+        return None
 
     @property
     def coupled(self) -> bool:

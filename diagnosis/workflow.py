@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
-from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit
+from bristle.diagnosis.candidates import RIGID
+from bristle.diagnosis.fit import Fit, evaluate, refit
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.lens import Lens, motion
 from bristle.diagnosis.modelfile import Model
@@ -20,7 +19,6 @@ from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, l
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.views import Share, shares
 from bristle.model.errors import BristleError
-from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
@@ -82,8 +80,10 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     tell("base refit", 0.0)
     nominal = {"b": 1.0, **model.parameters}
     bench = bench_of(model, records, nominal)
-    servo = base_servo(model.friction, nominal, model.bounds, fixed_values(bench.segments.h))
-    base = settle(bench, servo, nominal)
+    h = bench.segments.h
+    step = bench.resolution * (h if bench.segments.velocity else 1.0)
+    servo, values = base_servo(model.friction, nominal, model.bounds, fixed_values(h), step)
+    base = settle(bench, servo, values)
     final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
     tell("what remains", 0.85)
     return _conclude(model, records, bench, base, final, rounds, begun)
@@ -158,6 +158,8 @@ def estimates(model: Model, fit: Fit) -> dict[str, answer.Estimate]:
     spread = 1.96 * np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
     found = {}
     for f, wide in zip(fit.free, spread, strict=True):
+        if f.nominal is not None and f.name.startswith(f"{RIGID}."):
+            continue
         value = fit.values[f.name]
         low, high = (value * math.exp(-wide), value * math.exp(min(wide, 50.0))) if f.factor else (value - wide, value + wide)
         found[f.name] = answer.Estimate(value, model.unit(f.name), (low, high), f.stuck(value))
