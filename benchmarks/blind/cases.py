@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from forms import EFFECTS, OUTSIDE, PARAMETERS, Fields, Generator, Setting, Shape, can_join, class_of, other_friction
-from gap import Gap, measure
+from forms import EFFECTS, LOCAL, OUTSIDE, PARAMETERS, Fields, Generator, Setting, Shape, can_join, class_of, other_friction
+from gap import EVERY, Gap, measure
 from scene import LIMIT, Scene, draw_scene, log_uniform, with_friction
 from truth import RESOLUTION, Array, Record
 
@@ -20,7 +20,7 @@ CONTROLS = ("wrong_inertia", "noise_only", "quiet", "other_friction")
 QUIET = 0.01  # rms of the disturbance over Fc in the controls of that name
 STRONG, WEAK, FAINT = (2.0, 30.0), (1.3, 2.0), (1.05, 1.3)  # gap ratios
 TOGETHER = 5.0  # least gap ratio of a pair
-CONTROL_RATIO = 1.15  # highest gap ratio of a control
+CONTROL_RATIO = 1.15  # highest gap ratio of a control, as a mean and typically
 SIZES = {"same": 300, "other": 300, "low": 100, "faint": 40, "control": 240, "outside": 240, "pair": 160, "poor": 160}
 SELECTIONS = {
     "single": ("same", "other"),
@@ -128,7 +128,7 @@ def _aim(tried: list[tuple[float, float]], power: float, shape: Shape) -> float:
     return float(np.clip(wanted, math.log(shape.low), math.log(shape.high)))
 
 
-def adapt(scene: Scene, quiet: list[Record], shape: Shape, span: tuple[float, float], target: float) -> Found | None:
+def adapt(scene: Scene, quiet: list[Record], shape: Shape, span: tuple[float, float], target: float, every: int) -> Found | None:
     """Return the effect at a strength whose gap ratio is in the span, near the target; None if there is none."""
     tried: list[tuple[float, float]] = []
     at: float = math.log(np.clip(shape.guess * ((target - 1) / 4) ** (1 / shape.power), shape.low, shape.high))
@@ -140,7 +140,7 @@ def adapt(scene: Scene, quiet: list[Record], shape: Shape, span: tuple[float, fl
         if not _calm(records, quiet):
             tried.append((at, 3.0))
         else:
-            gap, fitted = measure(records, scene.plant(fields), fitted)
+            gap, fitted = measure(records, scene.plant(fields), fitted, every)
             miss = math.log(max(gap.ratio - 1, 0.01) / (target - 1))
             tried.append((at, miss))
             if span[0] <= gap.ratio < span[1] and (best is None or abs(miss) < best[0]):
@@ -154,6 +154,10 @@ def adapt(scene: Scene, quiet: list[Record], shape: Shape, span: tuple[float, fl
     return best[1] if best else None
 
 
+def _every(*names: str) -> int:
+    return 1 if LOCAL.intersection(names) else EVERY
+
+
 def _target(rng: Generator, span: tuple[float, float]) -> float:
     return log_uniform(rng, 1.04 * span[0], 0.96 * span[1])
 
@@ -161,7 +165,7 @@ def _target(rng: Generator, span: tuple[float, float]) -> float:
 def _single(rng: Generator, spec: Spec, name: str, scene: Scene, quiet: list[Record]) -> Found | None:
     draw = OUTSIDE[name] if spec.kind == "outside" else EFFECTS[name]
     shape = draw(rng, Setting(scene, quiet, spec.form == "other"))
-    return adapt(scene, quiet, shape, spec.span, _target(rng, spec.span))
+    return adapt(scene, quiet, shape, spec.span, _target(rng, spec.span), _every(name))
 
 
 def _pair(rng: Generator, spec: Spec, names: Sequence[str], scene: Scene, quiet: list[Record]) -> tuple[Found, list[float]] | None:
@@ -171,8 +175,8 @@ def _pair(rng: Generator, spec: Spec, names: Sequence[str], scene: Scene, quiet:
     targets = [log_uniform(rng, 2.5, STRONG[1]) for _ in names]
     for _ in range(3):
         alone = []
-        for shape, target in zip(shapes, targets, strict=True):
-            one = adapt(scene, quiet, shape, wide, target)
+        for name, shape, target in zip(names, shapes, targets, strict=True):
+            one = adapt(scene, quiet, shape, wide, target, _every(name))
             if one is None:
                 return None
             alone.append(one)
@@ -180,7 +184,7 @@ def _pair(rng: Generator, spec: Spec, names: Sequence[str], scene: Scene, quiet:
         records = scene.records(fields)
         if not _calm(records, quiet):
             return None
-        gap, _ = measure(records, scene.plant(fields))
+        gap, _ = measure(records, scene.plant(fields), every=_every(*names))
         if gap.ratio >= TOGETHER:
             return Found(fields, records, gap), [one.gap.ratio for one in alone]
         targets = [min(2 * target, 2 * STRONG[1]) for target in targets]
@@ -195,7 +199,7 @@ def _control(rng: Generator, spec: Spec, variant: str) -> tuple[Scene, Found, st
         scene, variant = with_friction(scene, friction), f"{variant}: {formulation}"
     records = scene.records()
     gap, _ = measure(records, scene.plant())
-    return (scene, Found({}, records, gap), variant) if gap.ratio < spec.span[1] else None
+    return (scene, Found({}, records, gap), variant) if max(gap.ratio, gap.typical) < spec.span[1] else None
 
 
 def nominal(rng: Generator, scene: Scene, variant: str) -> Fields:
@@ -244,7 +248,7 @@ def _answer(spec: Spec, names: Sequence[str], scene: Scene, found: Found, varian
         "style": spec.style,
         "variant": variant,
         "effects": effects,
-        "gap": {"base": found.gap.base, "floor": found.gap.floor, "ratio": found.gap.ratio},
+        "gap": {"base": found.gap.base, "floor": found.gap.floor, "ratio": found.gap.ratio, "typical": found.gap.typical},
         "base": scene.base,
         "fields": {key: value for key, value in found.fields.items() if value != 0},
     }

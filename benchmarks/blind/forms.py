@@ -186,7 +186,7 @@ def gravity(rng: Generator, s: Setting) -> Shape:
 def dead_zone(rng: Generator, s: Setting) -> Shape:
     """Sharp; other form: rounded, by a hyperbola or tanh."""
     kind = float(rng.integers(1, 3)) if s.other else 0.0
-    return Shape(lambda m: {"dead_zone_width": m, "dead_zone_kind": kind}, 1e-3, 0.02, 0.25)
+    return Shape(lambda m: {"dead_zone_width": m, "dead_zone_kind": kind}, 1e-3, 0.02, 0.12)
 
 
 def saturation(rng: Generator, s: Setting) -> Shape:
@@ -220,10 +220,11 @@ def electrical_pole(rng: Generator, s: Setting) -> Shape:
 
 def backlash(rng: Generator, s: Setting) -> Shape:
     """Linear contact, strength the play; other form: a Hertzian contact."""
-    share, stiffness = rng.uniform(0.25, 0.6), log_uniform(rng, 30, 150)
+    share = rng.uniform(0.25, 0.6)
+    stiffness = share * s.base("J") * (2 * math.pi * rng.uniform(35, 60)) ** 2  # well above the sweep, or it is a compliance
     fixed = {"backlash_share": share, "backlash_stiffness": stiffness, "backlash_dissipation": rng.uniform(0.5, 3)}
     fixed["backlash_hertz"] = 1.5 if s.other else 0.0
-    return Shape(lambda m: {**fixed, "backlash_play": m}, 1e-3, 8e-3, 0.2, 1.5)
+    return Shape(lambda m: {**fixed, "backlash_play": m}, 4e-3, 1e-2, 0.15, 1.5)
 
 
 def compliance(rng: Generator, s: Setting) -> Shape:
@@ -253,18 +254,20 @@ def load_friction(rng: Generator, s: Setting) -> Shape:
 
 
 def hard_stop(rng: Generator, s: Setting) -> Shape:
-    """Linear stop at one or both ends, reached in a few percent of the time; other form: quadratic or damped."""
-    reach, ends = rng.uniform(0.02, 0.07), rng.choice(["upper", "upper", "lower", "both"])
+    """Linear stop at one or both ends, strength how far it cuts into the range; other form: quadratic or damped."""
+    ends, stiffness = rng.choice(["upper", "upper", "lower", "both"]), log_uniform(rng, 0.3, 8)
     kind = float(rng.integers(1, 3)) if s.other else 0.0
-    damping = rng.uniform(0.01, 0.03) if kind == 2 else 0.0
-    upper = s.position(1 - reach) if ends != "lower" else 1e6
-    lower = s.position(reach) if ends != "upper" else -1e6
+    damping = stiffness * rng.uniform(0.01, 0.03) if kind == 2 else 0.0
+    top, bottom = s.position(1.0), s.position(0.0)
 
-    def fields(m: float) -> Fields:
-        place = {"hard_stop_upper": upper, "hard_stop_lower": lower}
-        return {**place, "hard_stop_stiffness": m, "hard_stop_kind": kind, "hard_stop_damping": damping * m}
+    def fields(cut: float) -> Fields:
+        place = {
+            "hard_stop_upper": top - cut if ends != "lower" else 1e6,
+            "hard_stop_lower": bottom + cut if ends != "upper" else -1e6,
+        }
+        return {**place, "hard_stop_stiffness": stiffness, "hard_stop_kind": kind, "hard_stop_damping": damping}
 
-    return Shape(fields, 3e-3, 0.08, 30.0, 1.5)
+    return Shape(fields, 2e-3, 0.05 / math.sqrt(stiffness), 0.2 * (top - bottom), 1.5)
 
 
 def friction_drift(rng: Generator, s: Setting) -> Shape:
@@ -281,14 +284,14 @@ def disturbance_step(rng: Generator, s: Setting) -> Shape:
     side, kind = sign(rng), 1.0 if s.other and rng.random() < 0.5 else 0.0
     rise = (rng.uniform(0.2, 0.6) if kind else rng.uniform(0.5, 2)) if s.other else 1e-3
     fixed = {"disturbance_step_onset": onset, "disturbance_step_rise": rise, "disturbance_step_kind": kind}
-    return Shape(lambda m: {**fixed, "disturbance_step_torque": side * m}, 2e-4, 3e-3, 0.08)
+    return Shape(lambda m: {**fixed, "disturbance_step_torque": side * m}, 2e-4, 4e-3, 0.08)
 
 
 def eccentric_encoder(rng: Generator, s: Setting) -> Shape:
     """Once in a turn; other form: with a second harmonic."""
     more = {"eccentric_encoder_second": rng.uniform(0.15, 0.3), "eccentric_encoder_second_phase": phase(rng)} if s.other else {}
     shift = phase(rng)
-    return Shape(lambda m: {"eccentric_encoder_amplitude": m, "eccentric_encoder_phase": shift, **more}, 3e-4, 4e-3, 0.15)
+    return Shape(lambda m: {"eccentric_encoder_amplitude": m, "eccentric_encoder_phase": shift, **more}, 3e-4, 1.8e-2, 0.06)
 
 
 def position_friction(rng: Generator, s: Setting) -> Shape:
@@ -306,6 +309,8 @@ EFFECTS: dict[str, Draw] = {
         disturbance_step, eccentric_encoder, position_friction,
     )
 }  # fmt: skip
+
+LOCAL = {"hard_stop", "saturation", "disturbance_step", "disturbance_burst"}  # show in few segments: all are looked at
 
 SLOTS = {  # of two effects with the same slot only one can act
     "presliding": "bristles",
@@ -383,11 +388,14 @@ OUTSIDE: dict[str, Draw] = {
 
 
 def other_friction(rng: Generator, base: Fields) -> tuple[str, Fields]:
-    """Return another formulation of Coulomb friction whose presliding stays below an encoder count."""
+    """Return another formulation of Coulomb friction whose presliding stays below an encoder count.
+
+    How far below is for the gap ratio of a control to say: a whole count shows.
+    """
     kind = str(rng.choice(["lugre", "dahl", "regularised"]))
-    travel = RESOLUTION * log_uniform(rng, 0.1, 1.0)
+    travel = RESOLUTION * log_uniform(rng, 0.03, 0.5)
     if kind == "regularised":
         return kind, {"regular": log_uniform(rng, 1e-4, 4e-4)}
     if kind == "dahl":
         return kind, {"sigma0": base["Fc"] / travel}
-    return kind, base_friction(base["J"], base["Fc"], travel) | {"sigma1_speed": log_uniform(rng, 0.01, 0.03)}
+    return kind, base_friction(base["J"], base["Fc"], travel) | {"sigma1_speed": log_uniform(rng, 0.005, 0.02)}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from truth import DISPLACEMENT, PERIOD, RESOLUTION, Array, Record, base_friction, replay
 
 LENGTH = round(0.4 / PERIOD)  # samples in a segment
-EVERY = 3  # each third segment counts
+EVERY = 3  # each third segment counts, unless the effect shows in few of them
 REPLAY_STEP = 2e-4  # s
 NUDGES = (1e-4, 2e-3)  # rad, rad/s: differences for the derivatives
 RELATIVE = 2e-3  # the same for parameters
@@ -28,22 +28,37 @@ ENOUGH = 2e-3  # relative improvement below which the fit ends
 class Gap:
     """Mean squared output errors [rad2] of base and true model."""
 
-    base: float
-    floor: float
+    base_errors: Array  # by segment
+    floor_errors: Array
+
+    @property
+    def base(self) -> float:
+        """Mean squared error of the best model without effect."""
+        return float(np.mean(self.base_errors))
+
+    @property
+    def floor(self) -> float:
+        """Mean squared error of the true model."""
+        return float(np.mean(self.floor_errors))
 
     @property
     def ratio(self) -> float:
         """Base over floor."""
         return self.base / self.floor
 
+    @property
+    def typical(self) -> float:
+        """Geometric mean over the segments, for which one segment that sticks where it should slip counts little."""
+        return float(np.exp(np.mean(np.log(self.base_errors) - np.log(self.floor_errors))))
+
 
 class Pieces:
     """Segments of both records, and replays over them."""
 
-    def __init__(self, records: list[Record]) -> None:
+    def __init__(self, records: list[Record], every: int = EVERY) -> None:
         self.records = records
-        self.first = [np.arange(0, r.u.size - LENGTH + 1, LENGTH * EVERY, dtype=np.int64) + LENGTH * i for i, r in enumerate(records)]
-        self.first = [f[f + LENGTH <= r.u.size] for f, r in zip(self.first, records, strict=True)]
+        begins = [np.arange(LENGTH * (i % every), r.u.size - LENGTH + 1, LENGTH * every) for i, r in enumerate(records)]
+        self.first = [begin.astype(np.int64) for begin in begins]
         self.states = [r.states[f].copy() for r, f in zip(records, self.first, strict=True)]
         measured = [r.theta[f[:, None] + np.arange(LENGTH)] for r, f in zip(records, self.first, strict=True)]
         self.measured = np.concatenate(measured) + 0.5 * RESOLUTION  # middle of the count
@@ -157,8 +172,8 @@ def _global_step(pieces: Pieces, truth: dict[str, float], x: Array, nuisance: Ar
     return step, _solve(slopes, error - jacobian @ step)[..., 0]
 
 
-def fit_base(pieces: Pieces, truth: dict[str, float], start: Array | None = None) -> tuple[float, Array]:
-    """Refit the base model; return (mean squared error, parameters as in `base_plant`)."""
+def fit_base(pieces: Pieces, truth: dict[str, float], start: Array | None = None) -> tuple[Array, Array]:
+    """Refit the base model; return (mean squared errors by segment, parameters as in `base_plant`)."""
     x = np.array([math.log(truth["J"]), truth["a2"], math.log(truth["Fc"])]) if start is None else start.copy()
     low = np.array([x[0] - 2.5, 0.0, math.log(1e-3 * truth["Fc"])])
     plant = base_plant(x)
@@ -182,18 +197,19 @@ def fit_base(pieces: Pieces, truth: dict[str, float], start: Array | None = None
     plant = base_plant(x)
     states = _held_states(pieces, truth, plant)
     nuisance, error = settle(pieces, plant, nuisance, states, 3)
-    return float(np.mean(rescue(pieces, plant, nuisance, error, states) ** 2)), x
+    return _mean_squares(rescue(pieces, plant, nuisance, error, states)), x
 
 
-def floor_error(pieces: Pieces, truth: dict[str, float]) -> float:
-    """Return the mean squared error of the true model."""
+def floor_errors(pieces: Pieces, truth: dict[str, float]) -> Array:
+    """Return the mean squared errors of the true model by segment."""
     nuisance, error = settle(pieces, truth, np.zeros((pieces.count, 2)), rounds=4)
-    return float(np.mean(rescue(pieces, truth, nuisance, error) ** 2))
+    return _mean_squares(rescue(pieces, truth, nuisance, error))
 
 
-def measure(records: list[Record], truth: dict[str, float], start: Array | None = None) -> tuple[Gap, Array]:
+def measure(
+    records: list[Record], truth: dict[str, float], start: Array | None = None, every: int = EVERY
+) -> tuple[Gap, Array]:
     """Return the gap, and the refitted base parameters, from which the fit of a similar case may start."""
-    pieces = Pieces(records)
-    floor = floor_error(pieces, truth)
+    pieces = Pieces(records, every)
     base, x = fit_base(pieces, truth, start)
-    return Gap(base, floor), x
+    return Gap(base, floor_errors(pieces, truth)), x

@@ -26,8 +26,8 @@ PERIOD = 1e-3  # s, sampling period of the records
 STEP = 5e-5  # s, internal step of the records
 COUNTS = 16384
 RESOLUTION = 2 * math.pi / COUNTS
-DISPLACEMENT = 1e-4  # rad, Fc/sigma0 of the base friction: a quarter of a count
-FADE = 0.02  # rad/s, above which the damping of the bristles fades, lest it act as an impulse at every reversal
+DISPLACEMENT = 2e-5  # rad, Fc/sigma0 of the base friction: 1e-4 would show, a gap ratio of 1.3 to 2 over pure Coulomb friction
+FADE = 0.01  # rad/s, above which the damping of the bristles fades, lest it act as an impulse at every reversal
 DAMPING_RATIO = 0.3  # of the mass on its bristles
 CORNER = 10.0  # Hz, of the disturbance torque
 
