@@ -120,7 +120,7 @@ def settle(
 def rescue(pieces: Pieces, plant: dict[str, float], nuisance: Array, error: Array, states: list[Array] | None = None) -> Array:
     """Start the nuisances again beside where they ended, for segments that stick or slip against the measurement."""
     for kick in KICKS:
-        trial = nuisance + [0.0, kick]
+        trial = nuisance + np.array([0.0, kick])
         trial, fresh = settle(pieces, plant, trial, states, 1)
         better = _mean_squares(fresh) < _mean_squares(error)
         nuisance = np.where(better[:, None], trial, nuisance)

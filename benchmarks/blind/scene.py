@@ -117,20 +117,29 @@ def chirp(rng: Generator, seconds: float) -> Array:
     return np.column_stack([x, v, np.gradient(v, PERIOD)])
 
 
+def leg(rng: Generator, position: float, fast: bool) -> Array:
+    """Return one smooth step within the range, of a second or two at most."""
+    size = log_uniform(rng, 1.0, 8.0) if fast else log_uniform(rng, 0.01, 5.0)
+    distance = size if rng.random() < 0.5 else -size
+    if abs(position + distance) > RANGE:
+        distance = -distance
+    speed = rng.uniform(6, 10) if fast else max(log_uniform(rng, 0.5, 10), 1.6 * size)
+    return move(distance, speed, log_uniform(rng, 30 if fast else 20, TOP_ACCELERATION))
+
+
 def steps(rng: Generator, start: float, seconds: float, fast: bool) -> Array:
-    """Return random smooth steps of all sizes with rests in between, from `start` within the range."""
-    parts, position, total = [], start, 0
-    while total < seconds / PERIOD:
-        size = log_uniform(rng, 1.0, 12.0) if fast else log_uniform(rng, 0.01, 5.0)
-        distance = size if rng.random() < 0.5 else -size
-        distance = -distance if abs(position + distance) > RANGE else distance
-        distance = math.copysign(1.0, -position) if abs(position + distance) > RANGE else distance
-        speed = rng.uniform(6, 10) if fast else log_uniform(rng, 0.5, 10)
-        parts.append(move(distance, speed, log_uniform(rng, 30 if fast else 20, TOP_ACCELERATION)))
-        if rng.random() < 0.4:
-            parts.append(rest(rng.uniform(0.1, 0.5)))
-        position += distance
-        total += sum(len(part) for part in parts[-2:]) if not parts[-1].any() else len(parts[-1])
+    """Return random smooth steps of all sizes with rests in between, from `start` within the range, of a given duration."""
+    parts: list[Array] = []
+    position, left = start, round(seconds / PERIOD)
+    while left > 0:
+        part = leg(rng, position, fast)
+        if len(part) > left:  # no room for this one: a smaller one, or rest
+            part = move(log_uniform(rng, 0.01, 0.3) * (1 if rng.random() < 0.5 else -1), 4.0, 40.0)
+            part = part if len(part) <= left else rest(left * PERIOD)
+        pause = rest(min(rng.uniform(0.1, 0.5), (left - len(part)) * PERIOD) if rng.random() < 0.4 else 0.0)
+        parts += [part, pause]
+        position += float(part[-1, 0])
+        left -= len(part) + len(pause)
     return chain(parts, start)
 
 
@@ -138,7 +147,7 @@ def chain(parts: list[Array], start: float = 0.0) -> Array:
     """Put motions behind each other, each beginning where the last one ended."""
     done, at = [], start
     for part in parts:
-        done.append(part + [at, 0, 0])
+        done.append(part + np.array([at, 0, 0]))
         at = float(done[-1][-1, 0]) if len(part) else at
     return np.concatenate(done)
 
@@ -147,8 +156,8 @@ def rich(rng: Generator) -> Array:
     """Return a record's reference: steps with rests, creep both ways, fast turns, a sweep, in any order."""
     kinds = ["steps", "creep", "fast", "chirp", "steps", "creep", "steps"]
     share = rng.uniform(0.8, 1.2, len(kinds)) * [3.2, 2.4, 4.0, 3.4, 3.2, 1.8, 2.0]
-    share *= SECONDS / share.sum()
-    parts, position = [rest(rng.uniform(0.2, 0.5))], rng.uniform(-3, 3)
+    share *= (SECONDS - 0.3) / share.sum()
+    parts, position = [rest(0.3)], rng.uniform(-3, 3)
     start = position
     for i in rng.permutation(len(kinds)):
         kind, seconds = kinds[i], float(share[i])
@@ -158,12 +167,11 @@ def rich(rng: Generator) -> Array:
             part = chirp(rng, seconds)
         else:
             part = steps(rng, position, seconds, kind == "fast")
-            part = part - [position, 0, 0]
+            part -= np.array([position, 0, 0])
         parts.append(part)
         position += float(part[-1, 0])
-    whole = chain(parts, start)
-    while len(whole) < SAMPLES:
-        whole = np.concatenate([whole, rest(0.5) + [whole[-1, 0], 0, 0]])
+    missing = max(0, SAMPLES - sum(map(len, parts)))
+    whole = chain([*parts, rest(missing * PERIOD)], start)
     return np.ascontiguousarray(whole[:SAMPLES])
 
 
