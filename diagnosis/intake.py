@@ -24,6 +24,7 @@ SAME_RATE = 1e-3  # sampling periods that differ less are one: the inertia is th
 REPEATED = 0.02  # largest share of repeated time stamps that are left out
 EPOCH = 1e6  # s: a time that starts above counts from 1970, not from the start
 SATURATED = 0.01  # a share of samples at an extreme value above this is a limit
+LIMITED = 10  # samples, at least
 CREST = 4.0  # and many times as long as on the values next to it
 LEVELS = 20  # an input of fewer values is switched, not limited
 STILL = 3.0  # steps of the resolution: less is no motion
@@ -121,7 +122,10 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     """
     records: list[Record] = []
     origin: float | None = None
-    for name, *given in arrays:
+    for entry in arrays:
+        if len(entry) != 4:
+            raise BristleError(f"a record has {len(entry)} entries; give (name, time, u, y)")
+        name, *given = entry
         time, u, y = (_vector(name, key, values) for key, values in zip(("time", "input", "output"), given, strict=True))
         if not len(time) == len(u) == len(y):
             sizes = f"time {len(time)}, input {len(u)}, output {len(y)} samples"
@@ -242,7 +246,7 @@ def _pieces(model: Model, raw: _Raw) -> list[Record]:
     if len(runs) > 1:
         worst = int(np.argmax(np.diff(raw.time)))
         seen = f"largest {raw.time[worst + 1] - raw.time[worst]:.3g} s after {raw.time[worst]:.6g} s"
-        raw.say(f"{len(runs) - 1} gaps in time ({seen}); cut there into {len(runs)} pieces")
+        raw.say(f"gaps in time: {len(runs) - 1} ({seen}); cut there into {len(runs)} pieces")
     for name, why in dropped:
         raw.say(f"piece {name} left out: {why}")
     if not records:
@@ -307,7 +311,8 @@ def _clock(raw: _Raw) -> tuple[Array, float, bool]:
             f"sampling intervals scatter by {rms:.0%} rms about {ordinary:g} s, allowed {JITTER:.0%}; sample with a steady clock"
         )
     if missing.any():
-        raw.say(f"{int(missing.sum())} places lack one or two samples (first after {raw.time[np.argmax(missing)]:.6g} s); bridged")
+        where = f"{int(missing.sum())} places (first after {raw.time[np.argmax(missing)]:.6g} s)"
+        raw.say(f"one or two samples are missing at {where}; bridged")
     raw.say(f"sampling intervals scatter by {rms:.1%} rms about {ordinary:.4g} s; interpolated to uniform ones")
     return raw.time, ordinary, True
 
@@ -415,7 +420,7 @@ def _spikes(raw: _Raw, resolution: float | None) -> None:
         k = mended[0]
         worst = max(float(size[i - 1]) for i in mended)
         where = f"first at sample {k}, {raw.time[k]:.6g} s; up to {worst:.3g}"
-        raw.say(f"{len(mended)} spikes in the output ({where}); interpolated over")
+        raw.say(f"output jumps away and back at {len(mended)} samples ({where}); interpolated over")
         raw.y = y
 
 
@@ -476,7 +481,7 @@ def _frozen(raw: _Raw, resolution: float | None) -> None:
     ):
         if runs_found:
             start, end = runs_found[0]
-            where = f"{len(runs_found)} times, first from {raw.time[start]:.6g} to {raw.time[end]:.6g} s"
+            where = f"{len(runs_found)} such parts, the first from {raw.time[start]:.6g} to {raw.time[end]:.6g} s"
             raw.say(f"{what} ({where})")
 
 
@@ -490,6 +495,6 @@ def _limits(raw: _Raw) -> None:
         ("smallest", values[0], counts[0], np.max(counts[1:4])),
     ):
         # the crest of a signal in steps also dwells on its last value, but not so much longer than on those before
-        if count > SATURATED * len(raw.u) and count > CREST * beside and value != 0.0:
+        if count > max(SATURATED * len(raw.u), LIMITED) and count > CREST * beside and value != 0.0:
             line = f"input is at its {which} value {value:.6g} for {count / len(raw.u):.1%} of the time"
             raw.say(f"{line}: a limit; what is logged must be behind it")
