@@ -77,7 +77,7 @@ def start_cores(parts: dict[str, tuple[Program, str]]) -> Cores:
     """Initialise one core of each program and keep its bytes."""
     cores: Cores = {}
     for name, (program, variant) in parts.items():
-        cores[name] = (program, Native(program, variant=variant or None)._core)
+        cores[name] = (program, Native(program, variant=variant or None).core)
     return cores
 
 

@@ -19,7 +19,8 @@ from bristle.model.sources import c_sources
 Array = NDArray[np.float64]
 
 
-def _pointer(array: NDArray[np.generic] | None) -> ctypes.c_void_p | None:
+def pointer(array: NDArray[np.generic] | None) -> ctypes.c_void_p | None:
+    """Return the address of an array's first element, as C functions take it."""
     return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
 
 
@@ -31,6 +32,8 @@ def compile_program(program: Program) -> ctypes.CDLL:
     path = cached(f"{program.name}-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out))
     library = ctypes.CDLL(str(path))
     library.batch_run.restype = library.batch_steps.restype = ctypes.c_longlong
+    if program.observed:
+        library.batch_segments.restype = ctypes.c_longlong
     library.batch_message.restype = ctypes.c_char_p
     return library
 
@@ -49,8 +52,8 @@ class Native:
     """
 
     def __init__(self, program: Program, parameters: Mapping[str, float] | None = None, variant: str | None = None) -> None:
-        self.program, self._library = program, compile_program(program)
-        self._core = ctypes.create_string_buffer(self._library.batch_size() + 64)
+        self.program, self.library = program, compile_program(program)
+        self.core = ctypes.create_string_buffer(self.library.batch_size() + 64)
         names = [a.system.name for a in program.variants]
         if variant is not None and variant not in names:
             raise BristleError(f"'{variant}' is no variant of {program.name}; known: {', '.join(names)}")
@@ -69,31 +72,35 @@ class Native:
 
     def reset(self, time: float = 0.0) -> None:
         """Set all states to their start values."""
-        self._check(self._library.batch_initialise(self._core, _pointer(self._v), ctypes.c_double(time)), time)
+        self.initialise(self._v, time)
+
+    def initialise(self, values: Array, time: float = 0.0) -> None:
+        """Replace parameters, inputs and time by those of a variable table and set all states to their start values."""
+        self._check(self.library.batch_initialise(self.core, pointer(values), ctypes.c_double(time)), time)
 
     def _check(self, code: int, time: float) -> None:
         if code:
-            raise SimulationError(f"{self.program.name} at {time:g} s: {self._library.batch_message(code).decode()}", time)
+            raise SimulationError(f"{self.program.name} at {time:g} s: {self.library.batch_message(code).decode()}", time)
 
     @property
     def steps(self) -> int:
         """Internal steps taken since the last reset."""
-        return int(self._library.batch_steps(self._core))
+        return int(self.library.batch_steps(self.core))
 
     @property
     def values(self) -> Array:
         """The whole variable table."""
         v = np.empty(len(self.program.slots))
-        self._library.batch_read(self._core, _pointer(v))
+        self.library.batch_read(self.core, pointer(v))
         return v
 
     def write(self, values: Array) -> None:
         """Replace the whole variable table."""
-        self._library.batch_write(self._core, _pointer(np.ascontiguousarray(values, dtype=float)))
+        self.library.batch_write(self.core, pointer(np.ascontiguousarray(values, dtype=float)))
 
     def advance(self, h: float) -> None:
         """Do one communication step."""
-        self._check(self._library.batch_advance(self._core, ctypes.c_double(h)), float(self.values[0]))
+        self._check(self.library.batch_advance(self.core, ctypes.c_double(h)), float(self.values[0]))
 
     @cached_property
     def _sensitivity_shape(self) -> tuple[int, int]:
@@ -124,9 +131,9 @@ class Native:
         out = np.empty((n + 1, len(record)))
         sens = np.empty((n + 1, *self._sensitivity_shape)) if sensitivities else None
         code = ctypes.c_int(0)
-        done = self._library.batch_run(
-            self._core, ctypes.c_longlong(n), ctypes.c_double(h), len(places), _pointer(places),
-            _pointer(np.ascontiguousarray(table)), len(recorded), _pointer(recorded), _pointer(out), _pointer(sens),
+        done = self.library.batch_run(
+            self.core, ctypes.c_longlong(n), ctypes.c_double(h), len(places), pointer(places),
+            pointer(np.ascontiguousarray(table)), len(recorded), pointer(recorded), pointer(out), pointer(sens),
             ctypes.byref(code),
         )  # fmt: skip
         self._check(code.value, done * h)
@@ -135,5 +142,5 @@ class Native:
     def rates(self) -> Array:
         """Return x' at the present state, for smooth systems."""
         dx = np.empty(len(self.variant.states))
-        self._check(self._library.batch_rates(self._core, _pointer(dx)), float(self.values[0]))
+        self._check(self.library.batch_rates(self.core, pointer(dx)), float(self.values[0]))
         return dx

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 
 from bristle.model.errors import BristleError
-from bristle.model.proximal import proximal
+from bristle.model.proximal import Unknown, proximal
 from bristle.model.rosenbrock import rodas
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
 from bristle.model.units import per_second
@@ -70,6 +70,13 @@ class Variant:
         return {name: kernel for name, kernel in self.kernels.items() if kernel.blocks or name in ALWAYS}
 
 
+def _solved(values: SX, unknowns: Sequence[Unknown]) -> SX:
+    """Put the solutions in place of the unknowns; later ones may contain earlier ones."""
+    for unknown in reversed(unknowns):
+        [values] = ca.substitute([values], [unknown.symbol], [unknown.solution])
+    return values
+
+
 def _own(system: System, name: str) -> str:
     """A state or constant belongs to its system, so that an output or a parameter may carry the same short name."""
     return f"{system.name}.{name}"
@@ -88,6 +95,8 @@ class Program:
         Name of the parameter that chooses the variant; needed for more than one.
     sensitivities : sequence of str, optional
         Parameters for which the derivative of the internal step is generated too.
+    observed : str, optional
+        Output whose derivative by states and these parameters is generated too.
     """
 
     def __init__(
@@ -97,12 +106,13 @@ class Program:
         selector: str | None = None,
         description: str = "",
         sensitivities: Sequence[str] = (),
+        observed: str | None = None,
     ) -> None:
         if len(systems) > 1 and selector is None:
             raise BristleError(f"program '{name}' has {len(systems)} variants and needs a selector name")
         self.name, self.description = name, description or systems[0].description
         self.selector = selector if len(systems) > 1 else None
-        self.sensitivities = tuple(sensitivities)
+        self.sensitivities, self.observed = tuple(sensitivities), observed
         self.slots: list[Slot] = []
         self.index: dict[str, int] = {}
         self._layout(systems)
@@ -204,10 +214,17 @@ class Program:
             add(name, [values({n: system.updates[n] for n in sampled})] if sampled else [])
         n = len(system.states)
         if system.states:
-            step = ca.vertcat(proximal(system, h), 0) if system.dry else ca.vertcat(*rodas(system, h))
-            add("step", [(step, range(n + 1))], to_output=True)
+            unknowns: list[Unknown] = []
+            if system.dry:
+                step, unknowns = proximal(system, h)
+                step = ca.vertcat(step, 0)
+            else:
+                step = ca.vertcat(*rodas(system, h))
+            add("step", [(_solved(step, unknowns), range(n + 1))], to_output=True)
             if self.sensitivities:
-                add("step_jacobian", [self._step_jacobian(system, step[:n])], to_output=True)
+                add("step_jacobian", [self._derivative(system, step[:n], unknowns)], to_output=True)
+            if self.sensitivities and self.observed:
+                add("seen_jacobian", [self._derivative(system, system.outputs[self.observed][1])], to_output=True)
         if system.smooth:
             add("rates", [(system.rate_vector(), range(n))], to_output=True)
             unknowns = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
@@ -216,13 +233,23 @@ class Program:
             add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
         return variant
 
-    def _step_jacobian(self, system: System, step: SX) -> tuple[SX, range]:
-        """Return d(x after the step)/d(x, chosen parameters), row-major; the constants' dependence is included."""
+    def _derivative(self, system: System, values: SX, unknowns: Sequence[Unknown] = ()) -> tuple[SX, range]:
+        """Return d(values)/d(x, chosen parameters), row-major; constants and what is solved for are differentiated too."""
         for name in self.sensitivities:
             if name not in system.parameters:
                 raise BristleError(f"'{name}' is no parameter of '{system.name}'; known: {', '.join(system.parameters)}")
         knowns = system.vector([*system.states, *self.sensitivities])
-        jacobian = ca.jacobian(system.expand(step), knowns)
+        jacobian = ca.jacobian(system.expand(values), knowns)
+        slopes: list[tuple[SX, SX]] = []  # of the unknowns by the knowns: implicit function theorem
+        for unknown in unknowns:
+            equation = system.expand(unknown.equation)
+            by_known = ca.jacobian(equation, knowns)
+            for symbol, slope in slopes:
+                by_known += ca.jacobian(equation, symbol) @ slope
+            moves = ca.if_else(unknown.symbol > 0, 1 / ca.jacobian(equation, unknown.symbol), 0)
+            slopes.append((unknown.symbol, -moves * by_known))
+            jacobian += ca.jacobian(system.expand(values), unknown.symbol) @ slopes[-1][1]
+        jacobian = _solved(jacobian, [replace(u, solution=system.expand(u.solution)) for u in unknowns])
         return ca.vec(jacobian.T), range(jacobian.numel())
 
     # -- identity ----------------------------------------------------------------------------------------------------

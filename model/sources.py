@@ -8,7 +8,7 @@ from importlib.resources import files
 from bristle.model.emit import emit_c
 from bristle.model.program import Program, Variant
 
-KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian")
+KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian", "seen_jacobian")
 
 
 def _list(values: Sequence[int]) -> str:
@@ -39,6 +39,7 @@ def c_sources(program: Program) -> dict[str, str]:
 #define N_VARIANTS {len(program.variants)}
 #define N_JACOBIAN {jacobian}
 #define N_SENSITIVITIES {len(program.sensitivities)}
+#define N_OBSERVED {int(bool(program.sensitivities and program.observed))}
 #define SELECTOR ({program.index[program.selector] if program.selector else -1})
 #endif
 """

@@ -27,7 +27,7 @@ MAX_STEPS = Parameter(
 )
 FRICTION_STEP = Parameter(
     "solver.friction_step", "h", "s", 1e-4, 1e-7, 1e-2,
-    "internal step of the set-valued friction (first-order accurate)", "moreau1988"
+    "internal step of the set-valued friction (second-order accurate)", "moreau1988"
 )
 
 
@@ -35,13 +35,18 @@ FRICTION_STEP = Parameter(
 class DryRow:
     """The one row J v' = T - f with f in bound * Sgn(v): state `row`, inertia J and friction bound N as expressions.
 
-    `backward`, where given, is the bound against backward motion: f in [-backward, bound] at rest.
+    `backward`, where given, is the bound against backward motion: f in [-backward, bound] at rest. `deflection`, where
+    given, names the state z of bristles with a stiffness and a damping: f = stiffness z + damping z', where
+    z' = v - stiffness |v| z / bound, so that f reaches the bound with the distance travelled.
     """
 
     row: str
     inertia: Any
     bound: Any
     backward: Any = None
+    deflection: str | None = None
+    stiffness: Any = None
+    damping: Any = None
 
 
 @dataclass
@@ -132,15 +137,23 @@ class System:
         """Declare an output and its equation."""
         self.outputs[variable.name] = (variable, SX(expression))
 
-    def dry_friction(self, row: str, inertia: SX, bound: SX, backward: SX | None = None) -> None:
-        """Put set-valued friction of the given bound [N.m] on the rate of `row`, whose inertia is `inertia`.
+    def dry_friction(
+        self,
+        row: str,
+        inertia: SX,
+        bound: SX,
+        backward: SX | None = None,
+        bristles: tuple[str, SX, SX] | None = None,
+    ) -> None:
+        """Put dry friction of the given bound [N.m] on the rate of `row`, whose inertia is `inertia`.
 
-        `backward` is the bound against backward motion, where it differs.
+        `backward` is the bound against backward motion, where it differs; `bristles` (name of the deflection's state,
+        stiffness, damping) make it elastic before it slides.
         """
         if self.dry is not None:
             raise BristleError(f"system '{self.name}' already has a dry-friction row ('{self.dry.row}'); only one is allowed")
         self.parameter(FRICTION_STEP)
-        self.dry = DryRow(row, SX(inertia), SX(bound), None if backward is None else SX(backward))
+        self.dry = DryRow(row, SX(inertia), SX(bound), None if backward is None else SX(backward), *(bristles or ()))
 
     # -- views -------------------------------------------------------------------------------------------------------
 

@@ -1,7 +1,4 @@
-"""What an effect is: something a servo may have beside its friction law, as slots that `servo` composes.
-
-Starting values derived from data are not part of an effect yet; an effect's defaults only make it visible.
-"""
+"""What an effect is: something a servo may have beside its friction law, as slots that `servo` composes."""
 
 from __future__ import annotations
 
@@ -9,6 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from bristle.model.errors import BristleError
 from bristle.model.system import System
@@ -16,6 +15,7 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
 
 SX = ca.SX
+Array = NDArray[np.float64]
 
 VIEWS = {  # where a residual torque can live
     "all": "everywhere, at rest too",
@@ -53,6 +53,41 @@ class Coupling:
 
     share: SX
     torque: SX
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A measured motion and what a model without the effect leaves of it, for starting values.
+
+    Attributes
+    ----------
+    theta, v, a, u, time : ndarray, shape (n,)
+        Position, velocity, acceleration (smoothed) and input of all records, one after the other.
+    h, resolution : float
+        Sampling period [s]; step of the position [rad].
+    inertia, level, gain : float
+        Fitted inertia [kg.m2], dry friction [N.m] and torque over input.
+    regress : function
+        Coefficients (k,) of torques (n, k) [N.m] in what the model leaves, and the log-likelihood they gain [nats].
+    """
+
+    theta: Array
+    v: Array
+    a: Array
+    u: Array
+    time: Array
+    h: float
+    resolution: float
+    inertia: float
+    level: float
+    gain: float
+    regress: Callable[[Array], tuple[Array, float]]
+
+    def best(self, options: Sequence[float], columns: Callable[[float], Array], count: int) -> list[tuple[float, Array]]:
+        """Return the options whose torques gain most, each with its coefficients; the best first."""
+        found = [(*self.regress(columns(option)), option) for option in options]
+        found.sort(key=lambda each: -each[1])
+        return [(option, coefficients) for coefficients, _, option in found[:count]]
 
 
 @dataclass(frozen=True)
@@ -94,8 +129,10 @@ class Effect:
         Position and velocity that are measured.
     coupling : function
         Second inertia behind the motor; arguments context, twist (motor - load) and its rate.
-    law : function
-        Replacement of the friction law.
+    bristles : function
+        Stiffness [N.m/rad] and damping [N.m.s/rad] of bristles that stand in for set-valued friction.
+    starts : function
+        Starting values from data: for each start the parameters that a fit may move, by their short names.
     """
 
     name: str
@@ -120,7 +157,8 @@ class Effect:
     bound: Callable[[Context], SX] | None = None
     output: Callable[[Context], tuple[SX, SX]] | None = None
     coupling: Callable[[Context, SX, SX], Coupling] | None = None
-    law: Callable[[FrictionLaw], FrictionLaw] | None = None
+    bristles: Callable[[Context], tuple[SX, SX]] | None = None
+    starts: Callable[[Evidence], list[dict[str, float]]] | None = None
 
 
 def arrange(effects: Sequence[Effect]) -> list[Effect]:
@@ -129,7 +167,7 @@ def arrange(effects: Sequence[Effect]) -> list[Effect]:
     for name in names:
         if names.count(name) > 1:
             raise BristleError(f"effect '{name}' is given twice; give it once")
-    for slot, what in (("coupling", "put a second inertia behind the motor"), ("law", "replace the friction law")):
+    for slot, what in (("coupling", "put a second inertia behind the motor"), ("bristles", "put bristles under the friction")):
         both = sorted(effect.name for effect in effects if getattr(effect, slot) is not None)
         if len(both) > 1:
             raise BristleError(f"effects '{both[0]}' and '{both[1]}' both {what}; choose one of them")
@@ -198,6 +236,20 @@ class Effects:
         own = SX(0) if friction.bound is None else friction.bound
         upper, lower = forward * own + added, backward * own + added
         return scale * friction.force, upper, None if forward is backward else lower
+
+    def bristles(self, law: FrictionLaw, bound: SX | None) -> tuple[SX, SX] | None:
+        """Return (stiffness, damping) of bristles where an effect puts them under the law's set-valued friction."""
+        for effect, c in self.having("bristles"):
+            if law.states:
+                own = "which has bristles of its own; set its parameters"
+                raise BristleError(f"effect '{effect.name}' cannot join law '{law.name}', {own}")
+            if bound is None:
+                raise BristleError(
+                    f"effect '{effect.name}' needs dry friction, which law '{law.name}' does not have; choose another law"
+                )
+            assert effect.bristles is not None
+            return effect.bristles(c)
+        return None
 
     @property
     def coupled(self) -> bool:

@@ -39,8 +39,6 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
     Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load scales friction.
     """
     ordered = arrange(effects)
-    for effect in ordered:
-        law = effect.law(law) if effect.law else law
     system = System(law.name, " with ".join([law.description, *(effect.name for effect in ordered)]))
     j, b, a2, u_max = (system.parameter(p) for p in (J, B, A2, U_MAX))
     theta_start, v_start = system.parameter(THETA_START), system.parameter(V_START)
@@ -65,6 +63,7 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
     asked = work.input("command", u)
     motor = b * work.input("drive", ca.fmin(ca.fmax(asked, -u_max), u_max))
     dry, bound, backward = work.friction(law, friction, load_scale, motor, j)
+    bristles = work.bristles(law, friction.bound)
     torque, inertia = _bodies(system, work, j, motor, tau_load)
     smooth = dry + a2 * v
     system.rate("theta", v)
@@ -72,7 +71,9 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
     for name, rate in friction.rates.items():
         system.rate(name, rate)
     force = smooth
-    if bound is not None:
+    if bound is not None and bristles is not None:
+        force = smooth + _bristles(system, inertia, bound, backward, *bristles)
+    elif bound is not None:
         system.dry_friction("v", inertia, bound, backward)
         lower = bound if backward is None else backward
         # at rest the friction is whatever holds the shaft, up to the bound
@@ -86,6 +87,20 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
         _encoder(system, theta_shown, work.shown(theta_start, v_start)[0])
     _true_values(system, {"alpha2": a2 / j, "b": b / j, **friction.true})
     return system
+
+
+def _bristles(system: System, inertia: SX, bound: SX, backward: SX | None, stiffness: SX, damping: SX) -> SX:
+    """Make the dry friction elastic before it slides; return its torque.
+
+    Source: canudas1995 (LuGre with Fs = Fc).
+    """
+    upper = ca.fmax(bound, 1e-12)  # without friction the bristles hold nothing, and nothing is divided by zero
+    lower = upper if backward is None else ca.fmax(backward, 1e-12)
+    z, v = system.state(State("z", "rad", "bristle deflection", scale=upper / stiffness)), system.symbols["v"]
+    bending = v - stiffness * ca.fabs(v) * z / ca.if_else(v < 0, lower, upper)
+    system.rate("z", bending)
+    system.dry_friction("v", inertia, upper, None if backward is None else lower, ("z", stiffness, damping))
+    return stiffness * z + damping * bending
 
 
 def _bodies(system: System, work: Effects, j: SX, motor: SX, tau_load: SX) -> tuple[SX, SX]:
@@ -133,9 +148,16 @@ def _true_values(system: System, true: dict[str, SX]) -> None:
 
 
 def servo_program(
-    law: str | None = None, *, encoder: bool = True, effects: Sequence[str] = (), sensitivities: tuple[str, ...] = ()
+    law: str | None = None,
+    *,
+    encoder: bool = True,
+    effects: Sequence[str] = (),
+    sensitivities: tuple[str, ...] = (),
+    observed: str | None = None,
 ) -> Program:
     """Return the servo as a program: all laws behind the selector `law`, or one law alone, with effects by name.
+
+    `sensitivities` and `observed` as of `Program`.
 
     Raises
     ------
@@ -146,7 +168,8 @@ def servo_program(
     if law is not None:
         system = servo(find_law(law), encoder, added)
         name = "_".join(["ServoPlant", law, *sorted(effects)])
-        return Program(name, [system], description=f"servo with {system.description}", sensitivities=sensitivities)
+        about = f"servo with {system.description}"
+        return Program(name, [system], description=about, sensitivities=sensitivities, observed=observed)
     if added:
         raise BristleError(f"effect '{added[0].name}' joins one friction law; choose a law")
     systems = [servo(each, encoder) for each in laws().values()]

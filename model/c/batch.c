@@ -50,3 +50,71 @@ EXPORT long long batch_run(Core *c, long long n, double h, int n_inputs, const i
         if (*code != CORE_OK) return k;
     }
 }
+
+#if N_OBSERVED
+/* A record as a chain of segments. At the start of each, chosen states are set anew (position, velocity: `starts`,
+ * n_segments x n_set) and their followers move along; all other states carry on from the segment before. The observed
+ * output and its derivatives by the chosen parameters are averaged over `width` steps.
+ * set[i]: index among the states; column[i]: its start parameter among the sensitivities; leader[j]: place in set[] of
+ * the state that state j follows, or -1. seen (n_segments, bins), sens (n_segments, bins, parameters) or 0;
+ * good[k] = 0 where the simulation failed. Returns the number of segments that did not fail. */
+EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int width, double h, int n_inputs, const int *inputs,
+                                const double *values, int n_set, const int *set, const int *column, const int *leader,
+                                const double *starts, int observed, double *seen, double *sens, unsigned char *good)
+{
+    enum { Q = N_SENSITIVITIES };
+    const Variant *a = &VARIANTS[c->variant];
+    const int n = a->n_states;
+    double s[N_X * Q + 1] = {0.0}, jacobian[N_X + Q + 1], fresh[N_V];
+    const long long length = (long long)bins * width;
+    long long succeeded = 0;
+    for (int i = 0; i < N_V; i++) fresh[i] = c->v[i];
+    for (long long k = 0; k < n_segments; k++) {
+        double old[N_X + 1], moved[N_X * Q + 1];
+        for (int j = 0; j < n; j++) old[j] = c->v[a->states[j]];
+        for (int i = 0; i < n * Q; i++) moved[i] = s[i];
+        for (int i = 0; i < n_set; i++) {
+            c->v[a->states[set[i]]] = starts[k * n_set + i];
+            for (int q = 0; q < Q; q++) s[set[i] * Q + q] = q == column[i];
+        }
+        for (int j = 0; j < n; j++) {
+            const int from = leader[j] >= 0 ? set[leader[j]] : -1;
+            for (int i = 0; i < n_set; i++)
+                if (j != set[i]) s[j * Q + column[i]] = 0.0; /* what the last start left behind is not this one's doing */
+            if (from < 0) continue;
+            c->v[a->states[j]] += starts[k * n_set + leader[j]] - old[from];
+            for (int q = 0; q < Q; q++) s[j * Q + q] += s[from * Q + q] - (q == column[leader[j]] ? 0.0 : moved[from * Q + q]);
+        }
+        int code = CORE_OK;
+        for (int b = 0; b < bins; b++) {
+            double sum = 0.0, *row = sens ? sens + (k * bins + b) * Q : 0;
+            for (int q = 0; row && q < Q; q++) row[q] = 0.0;
+            for (int i = 0; i < width && code == CORE_OK; i++) {
+                for (int m = 0; m < n_inputs; m++)
+                    c->v[inputs[m]] = values[(k * length + (long long)b * width + i) * n_inputs + m];
+                if (i == 0 && b == 0) core_outputs(c); /* the states were just set */
+                sum += c->v[observed];
+                if (row) {
+                    a->seen_jacobian(c->v, 0.0, jacobian);
+                    for (int q = 0; q < Q; q++) {
+                        double d = jacobian[n + q];
+                        for (int j = 0; j < n; j++) d += jacobian[j] * s[j * Q + q];
+                        row[q] += d / width;
+                    }
+                }
+                code = row ? core_advance_sensitive(c, h, s) : core_advance(c, h);
+            }
+            seen[k * bins + b] = sum / width;
+        }
+        good[k] = code == CORE_OK;
+        succeeded += good[k];
+        if (code != CORE_OK) { /* go on with fresh states; the clock keeps going */
+            const double time = fresh[0] + h * (double)((k + 1) * length);
+            for (int i = 0; i < N_V; i++) c->v[i] = fresh[i];
+            core_initialise(c, time);
+            for (int i = 0; i < n * Q; i++) s[i] = 0.0;
+        }
+    }
+    return succeeded;
+}
+#endif

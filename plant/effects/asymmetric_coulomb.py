@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -14,6 +14,11 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
     Source: armstrong1994 (friction that depends on the direction).
     """
     return 1 + c.p.share, 1 - c.p.share
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return no asymmetry: what it does is proportional to it."""
+    return [{"share": 0.0}]
 
 
 EFFECT = Effect(
@@ -29,4 +34,5 @@ EFFECT = Effect(
         Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),
     ),
     factor=factor,
+    starts=starts,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def drive(c: Context) -> ca.SX:
@@ -14,6 +14,11 @@ def drive(c: Context) -> ca.SX:
     Source: spong2006 chapter 6 (back EMF of a DC motor).
     """
     return ca.SX(c.u - c.p.constant * c.v)
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return no back EMF: what it does is proportional to it."""
+    return [{"constant": 0.0}]
 
 
 EFFECT = Effect(
@@ -30,4 +35,5 @@ EFFECT = Effect(
     ),
     rank=1,
     drive=drive,
+    starts=starts,
 )

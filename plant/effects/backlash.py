@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Coupling, Effect
+from bristle.plant.effect import Context, Coupling, Effect, Evidence
 
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
@@ -17,6 +19,14 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
     half = c.p.play / 2
     press = twist - ca.fmin(ca.fmax(twist, -half), half)
     return Coupling(c.p.share, c.p.stiffness * press * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return plays from a few steps of the sensor upwards, with a contact of 40 Hz."""
+    share = 0.3
+    stiffness = share * (1 - share) * e.inertia * (2 * math.pi * 40.0) ** 2
+    plays = [4 * e.resolution * 3.0**k for k in range(5)]
+    return [{"share": share, "play": play, "stiffness": stiffness, "dissipation": 1.0} for play in plays]
 
 
 EFFECT = Effect(
@@ -35,4 +45,5 @@ EFFECT = Effect(
         Parameter("backlash.dissipation", "lambda", "s/rad", 1.0, 0.0, 1e6, "damping over elastic torque and rate", "hunt1975"),
     ),
     coupling=coupling,
+    starts=starts,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
@@ -14,6 +14,11 @@ def torque(c: Context) -> ca.SX:
     Source: janot2019 (offset of the drive chain).
     """
     return ca.SX(c.p.torque)
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return no bias: what it does is proportional to it."""
+    return [{"torque": 0.0}]
 
 
 EFFECT = Effect(
@@ -29,4 +34,5 @@ EFFECT = Effect(
         Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant torque, positive forward", "janot2019"),
     ),
     torque=torque,
+    starts=starts,
 )

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import casadi as ca
+
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Effect
-from bristle.plant.effects.presliding import bristles
-from bristle.plant.law import FrictionLaw
+from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effects.presliding import displacements
 
 
-def replacement(law: FrictionLaw) -> FrictionLaw:
+def bristles(c: Context) -> tuple[ca.SX, ca.SX]:
     """Fc Sgn v becomes sigma0 z + sigma1 z', z' = v - sigma0 |v| z / Fc.
 
     Source: canudas1995 (LuGre with Fs = Fc).
     """
-    return bristles(law, "bristle_damping", "bristle_damping.stiffness", "bristle_damping.damping")
+    return c.p.stiffness, c.p.damping
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return bristles as presliding has them, half damped."""
+    stiffness = [e.level / reach for reach in displacements(e)]
+    return [{"stiffness": k, "damping": (k * e.inertia) ** 0.5} for k in stiffness]
 
 
 EFFECT = Effect(
@@ -29,5 +36,6 @@ EFFECT = Effect(
         Parameter("bristle_damping.stiffness", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "stiffness of the bristles", "canudas1995"),
         Parameter("bristle_damping.damping", "sigma1", "N.m.s/rad", 0.01, 0.0, 1e6, "damping of the bristles", "canudas1995"),
     ),
-    law=replacement,
+    bristles=bristles,
+    starts=starts,
 )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Array, Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
@@ -15,6 +18,20 @@ def torque(c: Context) -> ca.SX:
     """
     angle = c.p.periods * c.theta
     return ca.SX(c.p.amplitude * ca.sin(angle + c.p.phase) + c.p.amplitude2 * ca.sin(2 * angle + c.p.phase2))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return the periods that explain most of what is left, with one and with two terms."""
+
+    def columns(periods: float) -> Array:
+        return np.column_stack([np.sin(periods * e.theta), np.cos(periods * e.theta)])
+
+    starts: list[dict[str, float]] = []
+    for periods, (sine, cosine) in e.best([float(n) for n in range(2, 61)], columns, 3):
+        one = {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), "periods": periods}
+        sine, cosine = e.regress(columns(2 * periods))[0]
+        starts += [one, one | {"amplitude2": math.hypot(sine, cosine), "phase2": math.atan2(cosine, sine)}]
+    return starts
 
 
 EFFECT = Effect(
@@ -34,4 +51,5 @@ EFFECT = Effect(
         Parameter("cogging.phase2", "phi2", "rad", 0.0, -10.0, 10.0, "phase of the second term", "krishnan2010"),
     ),
     torque=torque,
+    starts=starts,
 )

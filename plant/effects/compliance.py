@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Coupling, Effect
+from bristle.plant.effect import Context, Coupling, Effect, Evidence
 
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
@@ -15,6 +17,16 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
     Source: spong2006 chapter 6 (drive train with an elastic shaft).
     """
     return Coupling(c.p.share, c.p.stiffness * twist + c.p.damping * rate)
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return resonances of the whole from 8 to 80 Hz, lightly damped, with a third of the inertia behind the spring."""
+    share, starts = 0.3, []
+    for frequency in (8.0, 14.0, 25.0, 45.0, 80.0):
+        stiffness = share * (1 - share) * e.inertia * (2 * math.pi * frequency) ** 2
+        damping = 0.1 * (stiffness * share * e.inertia) ** 0.5
+        starts.append({"share": share, "stiffness": stiffness, "damping": damping})
+    return starts
 
 
 EFFECT = Effect(
@@ -32,4 +44,5 @@ EFFECT = Effect(
         Parameter("compliance.damping", "d", "N.m.s/rad", 0.005, 0.0, 1e6, "damping of the shaft", "spong2006 chapter 6"),
     ),
     coupling=coupling,
+    starts=starts,
 )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def command(c: Context) -> ca.SX:
@@ -14,6 +15,12 @@ def command(c: Context) -> ca.SX:
     Source: tao1996 (dead-zone with slope one).
     """
     return c.u - ca.fmin(ca.fmax(c.u, -c.p.width), c.p.width)
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return widths below the friction, and such that some of the inputs lie inside."""
+    widths = [e.level / abs(e.gain) * share for share in (0.05, 0.2, 0.5)]
+    return [{"width": width} for width in (*widths, float(np.quantile(np.abs(e.u), 0.3)))]
 
 
 EFFECT = Effect(
@@ -30,4 +37,5 @@ EFFECT = Effect(
     ),
     rank=1,
     command=command,
+    starts=starts,
 )

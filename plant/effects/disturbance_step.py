@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
@@ -14,6 +15,13 @@ def torque(c: Context) -> ca.SX:
     Source: astrom2008 (load disturbance).
     """
     return ca.SX(c.p.torque * ca.fmin(ca.fmax((c.time - c.p.onset) / c.p.rise, 0), 1))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return the onsets that explain most of what is left."""
+    onsets = np.linspace(e.time.min(), e.time.max(), 42)[1:-1]
+    found = e.best([float(t) for t in onsets], lambda t: (e.time > t)[:, None].astype(float), 2)
+    return [{"torque": float(d), "onset": onset} for onset, (d,) in found]
 
 
 EFFECT = Effect(
@@ -32,4 +40,5 @@ EFFECT = Effect(
     ),
     load_side=True,
     torque=torque,
+    starts=starts,
 )

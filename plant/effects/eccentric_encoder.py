@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def output(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -15,6 +18,14 @@ def output(c: Context) -> tuple[ca.SX, ca.SX]:
     """
     angle = c.theta + c.p.phase
     return c.theta + c.p.amplitude * ca.sin(angle), c.v * (1 + c.p.amplitude * ca.cos(angle))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return amplitude and phase from the torque that the apparent acceleration needs."""
+    sine = np.cos(e.theta) * e.a - np.sin(e.theta) * e.v**2
+    cosine = -np.sin(e.theta) * e.a - np.cos(e.theta) * e.v**2
+    s, c = e.regress(e.inertia * np.column_stack([sine, cosine]))[0]
+    return [{"amplitude": min(math.hypot(s, c), 0.3), "phase": math.atan2(c, s)}]
 
 
 EFFECT = Effect(
@@ -31,4 +42,5 @@ EFFECT = Effect(
         Parameter("eccentric_encoder.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle of the disc at theta = 0", "ellin2008"),
     ),
     output=output,
+    starts=starts,
 )

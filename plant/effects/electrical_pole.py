@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter, State
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def drive(c: Context) -> ca.SX:
@@ -19,6 +19,11 @@ def rates(c: Context) -> dict[str, ca.SX]:
     Source: spong2006 chapter 6 (armature circuit of a DC motor).
     """
     return {"lagged": (c.u - c.p.lagged) / c.p.time_constant}
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return time constants from half a sampling period to sixteen."""
+    return [{"time_constant": e.h * periods} for periods in (0.5, 2.0, 6.0, 16.0)]
 
 
 EFFECT = Effect(
@@ -37,4 +42,5 @@ EFFECT = Effect(
     states=(State("lagged", "V", "input as the current follows it"),),
     rates=rates,
     drive=drive,
+    starts=starts,
 )

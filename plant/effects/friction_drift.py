@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -15,6 +15,11 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
     """
     value = ca.fmax(1 + c.p.rate * c.time, 0)
     return value, value
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return no drift: what it does is proportional to it."""
+    return [{"rate": 0.0}]
 
 
 EFFECT = Effect(
@@ -30,4 +35,5 @@ EFFECT = Effect(
         Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second", "armstrong1994"),
     ),
     factor=factor,
+    starts=starts,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def drive(c: Context) -> ca.SX:
@@ -14,6 +14,11 @@ def drive(c: Context) -> ca.SX:
     Source: tao1996 (piecewise linear characteristic with two slopes).
     """
     return ca.SX(c.u + c.p.share * ca.fabs(c.u))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return no asymmetry: what it does is proportional to it."""
+    return [{"share": 0.0}]
 
 
 EFFECT = Effect(
@@ -29,4 +34,5 @@ EFFECT = Effect(
         Parameter("gain_asymmetry.share", "g", "1", 0.1, -1.0, 1.0, "excess gain for u > 0, lack for u < 0", "tao1996"),
     ),
     drive=drive,
+    starts=starts,
 )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
@@ -14,6 +17,12 @@ def torque(c: Context) -> ca.SX:
     Source: spong2006 chapter 7 (single link in the field of gravity).
     """
     return ca.SX(-c.p.amplitude * ca.sin(c.theta + c.p.phase))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return amplitude and phase by linear regression."""
+    sine, cosine = e.regress(np.column_stack([np.sin(e.theta), np.cos(e.theta)]))[0]
+    return [{"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine)}]
 
 
 EFFECT = Effect(
@@ -31,4 +40,5 @@ EFFECT = Effect(
     ),
     load_side=True,
     torque=torque,
+    starts=starts,
 )

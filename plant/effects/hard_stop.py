@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
@@ -14,6 +15,18 @@ def torque(c: Context) -> ca.SX:
     Source: acary2008 (unilateral contact with a spring in place of the constraint).
     """
     return ca.SX(c.p.stiffness * (ca.fmax(c.p.lower - c.theta, 0) - ca.fmax(c.theta - c.p.upper, 0)))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return stops that are reached in a tenth to a hundredth of the time, on either side."""
+    starts: list[dict[str, float]] = []
+    for share in (0.1, 0.03, 0.01):
+        for name, side in (("upper", 1.0), ("lower", -1.0)):
+            edge = float(np.quantile(side * e.theta, 1 - share))
+            inside = np.maximum(side * e.theta - edge, 0.0)
+            stiffness = float(e.regress(-side * inside[:, None])[0][0])
+            starts.append({"stiffness": max(stiffness, 0.1 * e.level / max(float(inside.max()), 1e-9)), name: side * edge})
+    return starts
 
 
 EFFECT = Effect(
@@ -32,4 +45,5 @@ EFFECT = Effect(
     ),
     load_side=True,
     torque=torque,
+    starts=starts,
 )

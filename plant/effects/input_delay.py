@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter, State
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 LENGTH = 40  # samples kept; a longer delay acts as one of LENGTH sampling periods
 
@@ -25,6 +25,11 @@ def updates(c: Context) -> dict[str, ca.SX]:
     return {f"u{i}": c.u if i == 0 else c.p[f"u{i - 1}"] for i in range(LENGTH + 1)}
 
 
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return delays from half a sampling period to sixteen."""
+    return [{"delay": e.h * periods} for periods in (0.5, 2.0, 6.0, 16.0)]
+
+
 EFFECT = Effect(
     "input_delay",
     f"a drive that acts on an older input (at most {LENGTH} sampling periods)",
@@ -40,4 +45,5 @@ EFFECT = Effect(
     sampled=tuple(State(f"u{i}", "V", f"input of {i} samples before") for i in range(LENGTH + 1)),
     updates=updates,
     command=command,
+    starts=starts,
 )

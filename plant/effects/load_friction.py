@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def bound(c: Context) -> ca.SX:
@@ -14,6 +14,11 @@ def bound(c: Context) -> ca.SX:
     Source: duclusaud2024 (load-dependent friction, here by the motor's torque alone).
     """
     return ca.SX(c.p.coefficient * ca.fabs(c.torque))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return no such friction: what it does is proportional to it."""
+    return [{"coefficient": 0.0}]
 
 
 EFFECT = Effect(
@@ -29,4 +34,5 @@ EFFECT = Effect(
         Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted torque", "duclusaud2024"),
     ),
     bound=bound,
+    starts=starts,
 )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Array, Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -15,6 +18,19 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
     """
     value = 1 + c.p.amplitude * ca.sin(c.p.periods * c.theta + c.p.phase)
     return value, value
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return the periods that explain most of what is left."""
+
+    def columns(periods: float) -> Array:
+        against = -e.level * np.sign(e.v)
+        return np.column_stack([against * np.sin(periods * e.theta), against * np.cos(periods * e.theta)])
+
+    return [
+        {"amplitude": min(math.hypot(s, c), 0.9), "phase": math.atan2(c, s), "periods": periods}
+        for periods, (s, c) in e.best([float(n) for n in range(1, 9)], columns, 2)
+    ]
 
 
 EFFECT = Effect(
@@ -32,4 +48,5 @@ EFFECT = Effect(
         Parameter("position_friction.phase", "phi", "rad", 0.0, -10.0, 10.0, "phase", "armstrong1994"),
     ),
     factor=factor,
+    starts=starts,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
@@ -14,6 +14,11 @@ def torque(c: Context) -> ca.SX:
     Source: white2011 (drag of a body in turbulent flow).
     """
     return ca.SX(-c.p.coefficient * c.v * ca.fabs(c.v))
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return no drag: what it does is proportional to it."""
+    return [{"coefficient": 0.0}]
 
 
 EFFECT = Effect(
@@ -29,4 +34,5 @@ EFFECT = Effect(
         Parameter("quadratic_drag.coefficient", "c", "N.m.s2/rad2", 2e-4, 0.0, 1e6, "torque over speed squared", "white2011"),
     ),
     torque=torque,
+    starts=starts,
 )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def command(c: Context) -> ca.SX:
@@ -14,6 +15,11 @@ def command(c: Context) -> ca.SX:
     Source: khalil2002 section 1.2 (saturation).
     """
     return ca.fmin(ca.fmax(c.u, -c.p.limit), c.p.limit)
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return limits that cut the highest inputs."""
+    return [{"limit": float(np.quantile(np.abs(e.u), share))} for share in (0.995, 0.98, 0.95, 0.9)]
 
 
 EFFECT = Effect(
@@ -30,4 +36,5 @@ EFFECT = Effect(
     ),
     rank=2,
     command=command,
+    starts=starts,
 )

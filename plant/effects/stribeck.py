@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect
+from bristle.plant.effect import Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -15,6 +16,12 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
     """
     value = 1 + c.p.excess * ca.exp(-((c.v / c.p.speed) ** 2))
     return value, value
+
+
+def starts(e: Evidence) -> list[dict[str, float]]:
+    """Return a little more friction below speeds from creep to a third of the fastest."""
+    top = float(np.quantile(np.abs(e.v), 0.98))
+    return [{"excess": 0.2, "speed": top * share} for share in (0.006, 0.02, 0.06, 0.2)]
 
 
 EFFECT = Effect(
@@ -31,4 +38,5 @@ EFFECT = Effect(
         Parameter("stribeck.speed", "vs", "rad/s", 0.3, 1e-6, 1e6, "Stribeck velocity", "armstrong1994"),
     ),
     factor=factor,
+    starts=starts,
 )

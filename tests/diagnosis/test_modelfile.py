@@ -184,7 +184,7 @@ def test_every_mistake_is_one_line(path, value, words, tree, message, tmp_path):
 
 def test_effects_that_cannot_be_combined_are_refused(tree, message):
     tree["effects"] = {"presliding": {"stiffness": 1.0}, "bristle_damping": {"stiffness": 1.0, "damping": 0.1}}
-    assert "both replace the friction law" in message(lambda: Model.from_dict(tree))
+    assert "choose one of them" in message(lambda: Model.from_dict(tree))
 
 
 def test_files_that_cannot_be_read(tmp_path, message):

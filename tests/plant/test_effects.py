@@ -102,7 +102,7 @@ def test_each_effect_is_declared_in_full(name):
     assert e.excitation
     assert e.equation
     assert set(e.confounded) <= set(NAMES) - {name}
-    slots = (e.command, e.drive, e.torque, e.factor, e.bound, e.output, e.coupling, e.law)
+    slots = (e.command, e.drive, e.torque, e.factor, e.bound, e.output, e.coupling, e.bristles)
     assert sum(slot is not None for slot in slots) == 1
 
 
@@ -189,7 +189,7 @@ def test_the_order_in_which_effects_are_named_does_not_matter():
         ("coulomb", ("coging",), "unknown effect 'coging'; known: asymmetric_coulomb, back_emf"),
         ("coulomb", ("bias", "bias"), "effect 'bias' is given twice"),
         ("coulomb", ("compliance", "backlash"), "effects 'backlash' and 'compliance' both put a second inertia"),
-        ("coulomb", ("presliding", "bristle_damping"), "effects 'bristle_damping' and 'presliding' both replace the friction law"),
+        ("coulomb", ("presliding", "bristle_damping"), "effects 'bristle_damping' and 'presliding' both put bristles under the friction"),
         (None, ("bias",), "effect 'bias' joins one friction law; choose a law"),
     ],
 )

@@ -1,0 +1,167 @@
+"""The blind test: generate cases with a hidden effect, diagnose them, score the names against the sealed answers.
+
+    run.py generate --seed dev1 --out DIR [--scale 0.1] [--jobs 2] [--only single]
+    run.py diagnose --out DIR [--jobs 2]
+    run.py score --out DIR
+    run.py publish [--jobs 2]     all three, seeded by the commit's hash; refuses a tree with changes
+
+Every step goes on where it was interrupted. Diagnosis never opens the answers; they are sealed by answers.sha256.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: one thread a worker
+    os.environ[variable] = "1"
+
+from cases import SELECTIONS, Spec, draw, plan, seal, write  # noqa: E402
+from score import tables  # noqa: E402
+from truth import library  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+PUBLISHED = ROOT / "benchmarks" / "results" / "blind.md"
+
+
+def generate_one(commit: str, spec: Spec, out: Path) -> None:
+    """Draw and write one case."""
+    write(draw(commit, spec), out)
+
+
+def diagnose_one(folder: Path, target: Path) -> None:
+    """Diagnose one case as a user would and write the result; a failure is a result too."""
+    begun = time.perf_counter()
+    try:
+        from bristle.diagnosis import diagnose, load_model, load_records
+
+        model = load_model(folder / "model.toml")
+        result = diagnose(model, load_records(model, [folder / "a.npz", folder / "b.npz"])).to_dict()
+    except ImportError:
+        raise
+    except Exception as error:
+        result = {"verdict": "error", "error": f"{type(error).__name__}: {error}", "effects": [], "ties": []}
+    result["seconds"] = time.perf_counter() - begun
+    target.parent.mkdir(exist_ok=True)
+    draft = target.with_suffix(".part")
+    draft.write_text(json.dumps(result), encoding="utf-8")
+    draft.replace(target)
+
+
+def _work(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: int, label: str) -> None:
+    """Call a function in worker processes, with a line of progress on the standard error."""
+    todo = list(calls)
+    begun, step = time.perf_counter(), max(1, len(todo) // 50)
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        for done, future in enumerate(as_completed([pool.submit(function, *call) for call in todo]), 1):
+            future.result()
+            if done % step == 0 or done == len(todo):
+                spent = time.perf_counter() - begun
+                left = spent / done * (len(todo) - done)
+                print(f"{label}: {done} of {len(todo)}, {spent:.0f} s, {left:.0f} s left", file=sys.stderr, flush=True)
+
+
+def generate(seed: str, out: Path, scale: float, jobs: int, only: Sequence[str]) -> None:
+    """Write the cases that are missing, and the seal of the answers."""
+    groups = [group for name in only or SELECTIONS for group in SELECTIONS[name]]
+    specs = [spec for spec in plan(seed, scale) if spec.group in groups]
+    out.mkdir(parents=True, exist_ok=True)
+    note = {"seed": seed, "scale": scale}
+    path = out / "plan.json"
+    if path.exists() and json.loads(path.read_text(encoding="utf-8")) != note:
+        raise SystemExit(f"{out} holds cases of another plan; give another folder")
+    path.write_text(json.dumps(note), encoding="utf-8")
+    library()  # compiled once, before the workers start
+    missing = [spec for spec in specs if not (out / "answers" / f"{spec.index:05d}.json").exists()]
+    _work(generate_one, [(seed, spec, out) for spec in missing], jobs, "generate")
+    print(f"{len(specs)} cases in {out}; sha256 of answers.sha256: {seal(out)}")
+
+
+def check_seal(out: Path) -> None:
+    """Raise an error if an answer is not the one that was sealed."""
+    sealed = {}
+    for line in (out / "answers.sha256").read_text(encoding="utf-8").splitlines():
+        digest, name = line.split("  ")
+        sealed[name] = digest
+    for path in sorted((out / "answers").glob("*.json")):
+        name = f"answers/{path.name}"
+        if sealed.get(name) != hashlib.sha256(path.read_bytes()).hexdigest():
+            raise SystemExit(f"{name} is not what was sealed; generate the cases again")
+
+
+def diagnose_all(out: Path, jobs: int) -> None:
+    """Diagnose the cases without a result."""
+    if not (out / "answers.sha256").exists():
+        raise SystemExit("the answers are not sealed yet; run generate to its end")
+    folders = [f for f in sorted((out / "cases").iterdir()) if not (out / "results" / f"{f.name}.json").exists()]
+    _work(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in folders], jobs, "diagnose")
+
+
+def score_all(out: Path) -> str:
+    """Score what has been diagnosed; write score.md and score.json; return the markdown."""
+    check_seal(out)
+    pairs = []
+    for path in sorted((out / "results").glob("*.json")):
+        answer = json.loads((out / "answers" / path.name).read_text(encoding="utf-8"))
+        pairs.append((answer, json.loads(path.read_text(encoding="utf-8"))))
+    markdown, figures = tables(pairs)
+    (out / "score.md").write_text(markdown, encoding="utf-8")
+    (out / "score.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    return markdown
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def publish(out: Path | None, jobs: int, scale: float) -> None:
+    """Run all three steps with the commit's hash as seed; the tables go to benchmarks/results/blind.md."""
+    if changed := _git("status", "--porcelain"):
+        raise SystemExit(f"the tree has changes; commit them first, the seeds come from the commit's hash:\n{changed}")
+    commit = _git("rev-parse", "HEAD")
+    out = out or ROOT / "out" / "blind" / commit[:12]
+    generate(commit, out, scale, jobs, ())
+    seal_line = hashlib.sha256((out / "answers.sha256").read_bytes()).hexdigest()
+    diagnose_all(out, jobs)
+    head = f"Commit {commit}, which seeds every case; sha256 of the sealed answers' list: {seal_line}.\n\n"
+    PUBLISHED.write_text("# Blind test\n\n" + head + score_all(out), encoding="utf-8")
+    print(PUBLISHED.read_text(encoding="utf-8"))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("generate", "diagnose", "score", "publish"):
+        command = commands.add_parser(name)
+        command.add_argument("--out", type=Path, required=name != "publish")
+        if name != "score":
+            command.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+        if name in ("generate", "publish"):
+            command.add_argument("--scale", type=float, default=1.0, help="share of the full plan")
+        if name == "generate":
+            command.add_argument("--seed", required=True, help="a commit's hash, or any string")
+            command.add_argument("--only", choices=list(SELECTIONS), action="append", default=[])
+    a = parser.parse_args(arguments)
+    if a.command == "generate":
+        generate(a.seed, a.out, a.scale, a.jobs, a.only)
+    elif a.command == "diagnose":
+        diagnose_all(a.out, a.jobs)
+    elif a.command == "score":
+        print(score_all(a.out))
+    else:
+        publish(a.out, a.jobs, a.scale)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Every effect as a candidate: tried from its starting values, refitted by simulation together with the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, promise, refit
+from bristle.diagnosis.lens import Lens, Motion
+from bristle.diagnosis.null import directions
+from bristle.diagnosis.segments import Segments, Simulator
+from bristle.model.errors import BristleError
+from bristle.plant.effect import Evidence
+from bristle.plant.effects import effect as find_effect
+
+Array = NDArray[np.float64]
+
+FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
+FINALISTS = 2  # starts from which a step is taken
+LIMITS = {"share": (0.02, 0.9), "dissipation": (1e-3, 1e3)}
+
+
+RIGID = "bristle_damping"  # friction of a real servo bends a little before it slides: part of every model here
+ELASTIC = ("presliding", "bristle_damping")  # effects that bend more than the sensor can overlook
+
+
+@dataclass(frozen=True)
+class Servo:
+    """The model that candidates join: its law, effects, free parameters and everything that stays.
+
+    `rigid`: the set-valued friction has bristles that bend by less than the sensor's step; no model of rigid friction
+    agrees with another more closely than that, and without them each effect would be asked to explain it.
+    """
+
+    law: str
+    effects: tuple[str, ...]
+    base: tuple[str, ...]
+    free: tuple[Free, ...]
+    fixed: Mapping[str, float]
+    rigid: bool
+
+    def simulator(self, segments: Segments, more: tuple[str, ...] = ()) -> Simulator:
+        """Return a simulator of the servo with more effects added."""
+        effects = (*self.effects, *more)
+        bent = self.rigid and not set(effects) & set(ELASTIC)
+        return Simulator(self.law, (*effects, RIGID) if bent else effects, segments, self.base, self.fixed)
+
+    def own(self, name: str) -> tuple[Free, ...]:
+        """Return the free parameters that stay when an effect joins."""
+        return tuple(f for f in self.free if name not in ELASTIC or not f.name.startswith(f"{RIGID}."))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect fitted to the records: the fit of the whole model, and the directions it can explain anything in."""
+
+    name: str
+    fit: Fit | None
+    banks: tuple[Array, ...] = ()
+    refused: str = ""
+
+    @property
+    def size(self) -> int:
+        """Number of free parameters."""
+        return len(self.fit.free) if self.fit else 0
+
+    @property
+    def merit(self) -> float:
+        """Log-likelihood less the price of the parameters [nats]. Source: schwarz1978."""
+        if self.fit is None:
+            return -np.inf
+        return self.fit.total - 0.5 * self.size * float(np.log(np.count_nonzero(self.fit.weight) + 1.0))
+
+
+def evidence(motion: Motion, lens: Lens, fit: Fit, resolution: float) -> Evidence:
+    """Return what effects derive their starting values from."""
+    level = next((fit.values[f.name] for f in fit.free if f.name.endswith(".Fc")), 0.0)
+    level = level or float(np.mean(np.abs(fit.values["b"] * motion.u))) * 0.1
+    return Evidence(
+        motion.theta, motion.v * motion.moving, motion.a, motion.u, motion.time, fit.simulator.segments.h, resolution,
+        fit.values["J"], level, fit.values["b"], lens.regress,
+    )  # fmt: skip
+
+
+def freedom(name: str, start: Mapping[str, float]) -> tuple[Free, ...]:
+    """Return the free parameters of an effect: those a start gives, in their intervals."""
+    found = []
+    for p in find_effect(name).parameters:
+        short = p.name.removeprefix(f"{name}.")
+        if short not in start:
+            continue
+        low, high = LIMITS.get(short, (p.minimum, p.maximum)) if p.minimum > 0 else (p.minimum, p.maximum)
+        factor = p.minimum > 0
+        if factor:
+            low, high = max(low, start[short] / FACTOR), min(high, start[short] * FACTOR)
+        found.append(Free(p.name, low, high, factor))
+    return tuple(found)
+
+
+def starts(name: str, e: Evidence) -> list[dict[str, float]]:
+    """Return the starting values of an effect from data."""
+    make = find_effect(name).starts
+    assert make is not None
+    return make(e)
+
+
+def explore(problem: Problem, servo: Servo, name: str, fit: Fit, lens: Lens, e: Evidence) -> Candidate:
+    """Try an effect from all its starts and take one step from the most promising ones; `follow` goes on from there."""
+    try:
+        simulator = servo.simulator(fit.simulator.segments, (name,))
+    except BristleError as error:
+        return Candidate(name, None, refused=str(error))
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | _idle(name)
+    trials, banks, own = [], [], servo.own(name)
+    for start in starts(name, e):
+        free = freedom(name, start)
+        values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
+        values |= {f.name: f.inside(values[f.name]) for f in free}
+        first = evaluate(problem, simulator, (*own, *free), values, fit.starts)
+        banks.append(_bank(lens, fit, first, len(free)))
+        trials.append((first.total + promise(problem, first), first))
+    trials.sort(key=lambda trial: -trial[0])
+    steps = [refit(problem, simulator, t.free, t.values, t.starts, iterations=1, first=t) for _, t in trials[:FINALISTS]]
+    return Candidate(name, max(steps, key=lambda t: t.total), tuple(banks))
+
+
+def follow(problem: Problem, candidate: Candidate) -> Candidate:
+    """Refit a candidate from where it stands, under whatever noise and judged segments the problem has."""
+    old = candidate.fit
+    if old is None:
+        return candidate
+    return replace(candidate, fit=refit(problem, old.simulator, old.free, old.values, old.starts))
+
+
+def _idle(name: str) -> dict[str, float]:
+    """Return values at which optional parameters of an effect do nothing."""
+    idle = {"cogging.amplitude2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
+    return {key: value for key, value in idle.items() if key.startswith(f"{name}.")}
+
+
+def _bank(lens: Lens, fit: Fit, first: Fit, count: int) -> Array:
+    """Return the directions in which the residual would change: by the effect's parameters and by its mere presence."""
+    present = (first.white - fit.white)[:, :, None]
+    columns = np.concatenate([first.by_parameter[:, :, -count:], present], axis=2)
+    usable = np.isfinite(columns).all(axis=(1, 2), keepdims=True)
+    return directions(lens.free_of_model(lens.freed(np.where(usable, columns, 0.0))), fit.weight)

@@ -1,0 +1,234 @@
+"""The stepwise search: base refit, candidates, the null of the largest gain, ties, addition and removal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, evidence, explore, follow
+from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit
+from bristle.diagnosis.lens import Lens, Motion
+from bristle.diagnosis.noise import Noise, estimate, response
+from bristle.diagnosis.null import Null, largest_gain
+from bristle.diagnosis.segments import Segments
+from bristle.plant.effects import effects as all_effects
+from bristle.plant.friction import law as find_law
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SETTLE = 3  # times that noise and parameters are estimated in turn
+MOST = 4  # effects that are added
+PLAUSIBLE = 0.1  # share of the best gain after one step from which a candidate is refitted
+CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
+SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
+APART = 2.3  # standard errors between two candidates' likelihoods that keep them apart
+BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
+HELD = 4  # every fourth segment is kept from the search
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Everything that stays the same over a search."""
+
+    segments: Segments
+    motion: Motion
+    resolution: float
+    least: float
+
+    @property
+    def train(self) -> Mask:
+        """Segments that the search may see."""
+        return self.segments.judged & (self.segments.block % HELD != HELD - 1)
+
+    @property
+    def held(self) -> Mask:
+        """Segments kept from the search."""
+        return self.segments.judged & (self.segments.block % HELD == HELD - 1)
+
+    def problem(self, noise: Noise, judged: Mask) -> Problem:
+        """Return a problem over these segments."""
+        return Problem(noise, judged, self.segments.seen, self.segments.starts, self.segments.spread)
+
+    def noise(self, residual: Array, weight: Array, values: Mapping[str, float]) -> Noise:
+        """Return the noise of a residual (segments, bins)."""
+        s = self.segments
+        pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
+        return estimate(residual, weight, pulses, s.h, self.least)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A servo fitted, with the problem it was fitted under."""
+
+    servo: Servo
+    problem: Problem
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one round found."""
+
+    candidates: tuple[Candidate, ...]
+    null: Null
+    base: float
+    best: Candidate | None
+    gain: float
+    size: float
+    ties: tuple[str, ...]
+    decision: str
+
+
+def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
+    """Fit a servo and its noise in turn, from given values."""
+    simulator, starts, judged = servo.simulator(bench.segments), bench.segments.starts, bench.train
+    seen, _, good = simulator.run(values, starts)
+    residual = np.where(good[:, None], bench.segments.seen - seen, 0.0)
+    noise = bench.noise(residual, (judged & good).astype(float), values)
+    fit = None
+    for _ in range(SETTLE):
+        problem = bench.problem(noise, judged)
+        fit = refit(problem, simulator, servo.free, fit.values if fit else values, fit.starts if fit else starts)
+        noise = bench.noise(fit.residual, fit.weight, fit.values)
+    assert fit is not None
+    problem = bench.problem(noise, judged)
+    return Stage(servo, problem, refit(problem, simulator, servo.free, fit.values, fit.starts))
+
+
+def group(name: str) -> str:
+    """Return the class of an effect."""
+    return all_effects()[name].group
+
+
+def mean_square(fit: Fit, mask: Mask) -> float:
+    """Return the mean squared error over segments, start states at their best [output squared]."""
+    move = np.linalg.lstsq  # segments are few and short
+    whiten = fit.residual[mask]
+    columns = fit.raw_by_start[mask]
+    rest = [r - c @ move(c, r, rcond=1e-9)[0] for r, c in zip(whiten, columns, strict=True)]
+    return float(np.mean(np.square(rest)))
+
+
+def lens_of(stage: Stage, bench: Bench) -> Lens:
+    """Return the lens of a fitted servo."""
+    return Lens(stage.problem, stage.fit, bench.motion.moving, stage.fit.values["J"], stage.fit.values["a2"])
+
+
+def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, float], None]) -> Verdict:
+    """Try the named effects on top of a fitted servo."""
+    fit, lens = stage.fit, lens_of(stage, bench)
+    e = evidence(bench.motion, lens, fit, bench.resolution)
+    tried = []
+    for i, name in enumerate(names):
+        tell(name, i / max(len(names), 1))
+        tried.append(explore(stage.problem, stage.servo, name, fit, lens, e))
+    reached = [c for c in tried if c.fit is not None]
+    if not reached:
+        return Verdict(tuple(tried), Null(np.zeros(1)), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
+    best = max(c.fit.total for c in reached if c.fit) - fit.total
+    tried = [follow(stage.problem, c) if c.fit and c.fit.total - fit.total > PLAUSIBLE * best else c for c in tried]
+    reached = [c for c in tried if c.fit is not None]
+    leader = max(reached, key=lambda c: c.merit)
+    assert leader.fit is not None
+    gain = leader.fit.total - fit.total
+    banks = [bank for c in reached for bank in c.banks]
+    null = largest_gain(banks, lens.freed(leader.fit.white[:, :, None])[:, :, 0], fit.weight)
+    if gain <= null.level or leader.merit <= Candidate("", fit).merit:
+        return Verdict(tuple(tried), null, fit.total, None, gain, 1.0, (), "no gain above what chance gives")
+    contenders = [c for c in reached if c.fit is not None and c.fit.total - fit.total > CONTENDER * gain]
+    problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
+    assert leader.fit is not None
+    plain = evaluate(problem, fit.simulator, fit.free, fit.values, fit.starts)
+    size = mean_square(plain, bench.held) / max(mean_square(leader.fit, bench.held), 1e-300)
+    ties = tuple(c.name for c in contenders if c.name != leader.name and _alike(leader, c, plain))
+    table = {c.name: c for c in tried} | {c.name: c for c in contenders}
+    return Verdict(tuple(table.values()), null, fit.total, leader, gain, size, ties, "")
+
+
+def _under_best_noise(
+    bench: Bench, stage: Stage, leader: Candidate, contenders: list[Candidate]
+) -> tuple[Problem, Candidate, list[Candidate]]:
+    """Refit the contenders under the noise that the best of them leaves, until the best one stays the best."""
+    problem = stage.problem
+    for _ in range(3):
+        assert leader.fit is not None
+        noise = bench.noise(leader.fit.residual, leader.fit.weight, leader.fit.values)
+        problem = bench.problem(noise, bench.train)
+        contenders = [follow(problem, c) for c in contenders]
+        best = max(contenders, key=lambda c: c.merit)
+        same, leader = best.name == leader.name, best
+        if same:
+            break
+    return problem, leader, contenders
+
+
+def _alike(best: Candidate, other: Candidate, plain: Fit) -> bool:
+    """True if the records do not tell two candidates apart. Source: vuong1989 (test of non-nested models)."""
+    assert best.fit is not None
+    assert other.fit is not None
+    live = best.fit.weight > 0
+    difference = (best.fit.score - other.fit.score)[live]
+    error = np.std(difference) * np.sqrt(len(difference)) + 1e-9
+    return bool((best.merit - other.merit) < APART * error and best.merit - other.merit < 0.5 * (best.fit.total - plain.total))
+
+
+def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
+    """Return the servo with an effect added, its noise settled."""
+    assert best.fit is not None
+    rigid = stage.servo.rigid and best.name not in ELASTIC
+    servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
+    noise = bench.noise(best.fit.residual, best.fit.weight, best.fit.values)
+    problem = bench.problem(noise, bench.train)
+    return Stage(servo, problem, refit(problem, best.fit.simulator, servo.free, best.fit.values, best.fit.starts))
+
+
+def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tuple[Stage, list[Verdict]]:
+    """Add effects one after the other as long as one is found that is certain and large enough."""
+    stage, rounds = base, []
+    taken = set(base.servo.effects)
+    while True:
+        classes = {group(name) for name in taken}
+        names = [name for name in all_effects() if group(name) not in classes]
+        verdict = look(bench, stage, names, tell)
+        rounds.append(verdict)
+        if verdict.best is None:
+            break
+        if verdict.size < SIZE:
+            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is certain but small")
+            break
+        if any(group(name) != group(verdict.best.name) for name in verdict.ties):
+            rounds[-1] = replace(verdict, decision="several effects explain it alike")
+            break
+        rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added")
+        stage = extend(stage, bench, verdict.best)
+        taken.add(verdict.best.name)
+        if len(taken) >= MOST:
+            break
+    return stage, rounds
+
+
+def base_servo(
+    law: str, nominal: Mapping[str, float], bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float], step: float
+) -> tuple[Servo, dict[str, float]]:
+    """Return a servo whose bounded parameters are free, loosely held by their nominal values, and where to start.
+
+    `step` is the sensor's, in position: set-valued friction bends by at most a quarter of it.
+    """
+    free = []
+    for name, (low, high) in bounds.items():
+        doubt = 2.0 * max(abs(nominal[name]), 1e-3 * (high - low), 1e-12)
+        free.append(Free(name, low, high, nominal=nominal[name], doubt=doubt))
+    rigid = f"{law}.Fc" in nominal and not find_law(law).states
+    values = dict(nominal)
+    if rigid:
+        least = max(nominal[f"{law}.Fc"], 1e-9) / (BEND * step)
+        values[f"{RIGID}.stiffness"] = 3 * least
+        values[f"{RIGID}.damping"] = damping = (3 * least * nominal["J"]) ** 0.5
+        free.append(Free(f"{RIGID}.stiffness", least, 100 * least, True, math.log(3 * least), 1.0))
+        free.append(Free(f"{RIGID}.damping", 0.0, 30 * damping, False, damping, 2 * damping))
+    return Servo(law, (), tuple(bounds), tuple(free), fixed, rigid), values

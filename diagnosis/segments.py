@@ -1,0 +1,201 @@
+"""Records cut into short segments, and the simulation of a servo over them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_coeffs
+
+from bristle.model.errors import SimulationError
+from bristle.model.native import Native, pointer
+from bristle.plant.effects import effect as find_effect
+from bristle.plant.servo import servo_program
+
+Array = NDArray[np.float64]
+
+SEGMENT = 0.4  # s: long enough for friction and inertia to show, short enough for a disturbance not to drift away
+BINS = 50  # averages a segment: what is faster than 60 Hz in 0.4 s is the resolution's
+SMOOTH = 0.02  # s: half-width of the parabola that gives position and velocity at the start of a segment
+LEADERS = {"theta_load": "theta", "v_load": "v"}  # the far side of a coupling moves along when a segment starts anew
+STARTS = ("theta_start", "v_start")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One record as consecutive segments: time of the first sample [s], inputs (segments * bins * width,), measured
+    averages (segments, bins), states at the starts (segments, 2) with their standard deviations."""
+
+    name: str
+    time: float
+    u: Array
+    seen: Array
+    starts: Array
+    spread: Array
+
+
+@dataclass(frozen=True)
+class Segments:
+    """All records as segments of `bins` averages over `width` samples of length h; `velocity` says what was measured.
+
+    The first segment of each record only brings the hidden states to life: it is simulated, not judged.
+    """
+
+    pieces: tuple[Piece, ...]
+    h: float
+    width: int
+    bins: int
+    velocity: bool
+
+    @property
+    def seen(self) -> Array:
+        """Measured averages (segments, bins)."""
+        return np.concatenate([piece.seen for piece in self.pieces])
+
+    @property
+    def starts(self) -> Array:
+        """Measured states at the starts of the segments (segments, 2)."""
+        return np.concatenate([piece.starts for piece in self.pieces])
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviations of `starts`."""
+        return np.concatenate([piece.spread for piece in self.pieces])
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """False for the first segment of each record."""
+        return np.concatenate([np.arange(len(piece.seen)) > 0 for piece in self.pieces])
+
+    @property
+    def block(self) -> NDArray[np.int_]:
+        """Number of each segment within its record."""
+        return np.concatenate([np.arange(len(piece.seen)) for piece in self.pieces])
+
+
+def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
+    """Return y or its derivative of an order, from a parabola through the samples within `half` seconds."""
+    reach = max(2, round(half / h))
+    reach = min(reach, (len(y) - 1) // 2)
+    kernel = savgol_coeffs(2 * reach + 1, 2, deriv=order, delta=h)
+    padded = np.concatenate([2 * y[0] - y[reach:0:-1], y, 2 * y[-1] - y[-2 : -reach - 2 : -1]])
+    return np.convolve(padded, kernel, mode="valid")
+
+
+def cut(name: str, time: float, h: float, u: Array, y: Array, velocity: bool, resolution: float, width: int, bins: int) -> Piece:
+    """Return one record as segments; what is left at the end is dropped."""
+    length = width * bins
+    n = len(u) // length
+    first = np.arange(n) * length
+    reach = max(2, round(SMOOTH / h))
+    noise = max(resolution / np.sqrt(12), float(np.std(y - smooth(y, h, SMOOTH))), 1e-12)
+    if velocity:
+        starts = np.column_stack([np.zeros(n), smooth(y, h, SMOOTH)[first]])
+        spread = np.column_stack([np.ones(n), np.full(n, 10 * noise)])
+    else:
+        v = smooth(y, h, SMOOTH, 1)
+        starts = np.column_stack([smooth(y, h, SMOOTH)[first], v[first]])
+        doubt = 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])
+        spread = np.column_stack([np.full(n, 10 * noise), doubt])
+    seen = y[: n * length].reshape(n, bins, width).mean(axis=2)
+    return Piece(name, time, np.ascontiguousarray(u[: n * length]), seen, starts, spread)
+
+
+class Unstable(SimulationError):
+    """A simulation that failed in most of its segments."""
+
+
+@lru_cache(maxsize=64)
+def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...]) -> Native:
+    wanted = [*base, *(p.name for name in effects for p in find_effect(name).parameters), *STARTS]
+    observed = "v" if velocity else "theta"
+    program = servo_program(law, encoder=False, effects=effects, sensitivities=tuple(wanted), observed=observed)
+    return Native(program)
+
+
+class Simulator:
+    """A servo with effects, simulated over segments with exact derivatives.
+
+    Parameters
+    ----------
+    law : str
+        Friction law.
+    effects : sequence of str
+        Names of effects.
+    segments : Segments
+        Records to follow.
+    base : sequence of str
+        Parameters of the servo and its law by which may be differentiated; the effects' are always among them.
+    fixed : mapping
+        Values of other parameters, such as the internal step.
+    """
+
+    def __init__(
+        self, law: str, effects: Sequence[str], segments: Segments, base: Sequence[str], fixed: Mapping[str, float]
+    ) -> None:
+        self.segments, self.effects = segments, tuple(effects)
+        self._native = _compiled(law, tuple(sorted(effects)), segments.velocity, tuple(base))
+        program = self._native.program
+        self.names = program.sensitivities[: -len(STARTS)]
+        self._v = np.array(program.starts)
+        known = {"sample_time": segments.h, "solver.max_step": segments.h, **fixed}
+        for name, value in known.items():
+            if name in program.index:
+                self._v[program.index[name]] = value
+        self._places = np.array([program.index[name] for name in self.names])
+        states = list(self._native.variant.system.states)
+        chosen = ["v"] if segments.velocity else ["theta", "v"]
+        follow = [LEADERS.get(name, "") for name in states]
+        self._set = np.array([states.index(name) for name in chosen], dtype=np.int32)
+        self._column = np.array([len(self.names) + (name == "v") for name in chosen], dtype=np.int32)
+        self._leader = np.array([chosen.index(f) if f in chosen else -1 for f in follow], dtype=np.int32)
+        self._chosen = slice(1, 2) if segments.velocity else slice(0, 2)
+        self._input = np.array([program.index["u"]], dtype=np.int32)
+        self._observed = program.index["v" if segments.velocity else "theta"]
+
+    def run(self, values: Mapping[str, float], starts: Array, jacobian: bool = False) -> tuple[Array, Array | None, Array]:
+        """Simulate all segments from the given states (segments, 2).
+
+        Returns
+        -------
+        seen : ndarray, shape (segments, bins)
+            Averages of the output.
+        derivatives : ndarray, shape (segments, bins, len(names) + 2), or None
+            By the parameters and by the two start states.
+        good : ndarray of bool, shape (segments,)
+            False where the simulation failed; values there mean nothing.
+        """
+        parts, first = [], 0
+        for piece in self.segments.pieces:
+            n = len(piece.seen)
+            parts.append(self._piece(piece, values, starts[first : first + n], jacobian))
+            first += n
+        seen, sens, good = zip(*parts, strict=True)
+        return np.concatenate(seen), np.concatenate(sens) if jacobian else None, np.concatenate(good)
+
+    def _piece(self, piece: Piece, values: Mapping[str, float], starts: Array, jacobian: bool) -> tuple[Array, Array, Array]:
+        native, library, bins = self._native, self._native.library, self.segments.bins
+        v, n = self._v.copy(), len(piece.seen)
+        for name, value in values.items():
+            if name in native.program.index:
+                v[native.program.index[name]] = value
+        v[native.program.index["u"]] = piece.u[0]
+        if not self.segments.velocity:
+            v[native.program.index["theta_start"]] = starts[0, 0]
+        v[native.program.index["v_start"]] = starts[0, 1]
+        native.initialise(v, piece.time)
+        seen = np.empty((n, bins))
+        sens = np.empty((n, bins, len(self.names) + 2)) if jacobian else np.empty((n, 0, 0))
+        good = np.empty(n, dtype=np.uint8)
+        chosen = np.ascontiguousarray(starts[:, self._chosen])
+        library.batch_segments(
+            native.core, ctypes.c_longlong(n), bins, self.segments.width, ctypes.c_double(self.segments.h), 1,
+            pointer(self._input), pointer(piece.u), len(self._set), pointer(self._set), pointer(self._column),
+            pointer(self._leader), pointer(chosen), self._observed, pointer(seen), pointer(sens) if jacobian else None,
+            pointer(good),
+        )  # fmt: skip
+        return seen, sens, good.astype(bool)

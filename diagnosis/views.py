@@ -1,0 +1,146 @@
+"""Where a residual lives: the share of it that a function of one view of the motion predicts, block by block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis.lens import Lens, Motion
+
+Array = NDArray[np.float64]
+
+FOLDS = 5
+FLIPS = 499  # random signs of segments, for the significance
+RIDGE = 1e-3  # of a view's own power
+KNOTS = 9
+TONES = (0.2, 45.0)  # Hz
+PERIODS = 60  # in a turn
+STOPS = 5  # widths of elastic elements that make up a hysteresis
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a view predicts: cross-validated share of the whitened residual, its p over all views, and a label."""
+
+    view: str
+    share: float
+    p: float
+    label: str = ""
+
+
+def hats(x: Array, knots: int = KNOTS) -> Array:
+    """Return piecewise linear functions (n, knots) that add up to one, with knots where the data are."""
+    at = np.unique(np.quantile(x, np.linspace(0.005, 0.995, knots)))
+    if len(at) < 2:
+        return np.ones((len(x), 1))
+    inside = np.clip(x, at[0], at[-1])
+    return np.column_stack([np.interp(inside, at, np.eye(len(at))[i]) for i in range(len(at))])
+
+
+def stops(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
+    """Return elastic elements (n, widths) that slide beyond a deflection, scaled to -1..1.
+
+    Source: albender2005 (hysteresis as parallel elasto-slide elements).
+    """
+    step = np.diff(theta, prepend=theta[0])
+    step[np.flatnonzero(np.diff(record, prepend=record[0]))] = 0.0
+    z, out = np.zeros(len(widths)), np.empty((len(theta), len(widths)))
+    for k, move in enumerate(step.tolist()):
+        z = np.clip(z + move, -widths, widths)
+        out[k] = z
+    return out / widths
+
+
+def _waves(angle: Array, count: int) -> Array:
+    return np.column_stack([wave(k * angle) for k in range(1, count + 1) for wave in (np.sin, np.cos)])
+
+
+def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
+    """Return functions (n, k) of each view; `step` is the step of the sensor [rad]."""
+    way = np.sign(m.v)[:, None]
+    du = np.diff(m.u, prepend=m.u[0]) / h
+    turn = np.column_stack([_waves(m.theta, 3), hats(m.theta)])
+    widths = np.geomspace(4 * step, max(0.2 * np.ptp(m.theta), 40 * step), STOPS)
+    span = np.column_stack([np.ones_like(m.u), m.u, np.abs(m.u)])
+    return {
+        "v": hats(m.v, 13),
+        "a": hats(m.a),
+        "u": hats(m.u, 13),
+        "du": hats(du),
+        "t": hats(m.time, 21),
+        "theta": turn,
+        "theta x direction": way * turn,
+        "theta x u": m.u[:, None] * _waves(m.theta, 4),
+        "theta x a": m.a[:, None] * _waves(m.theta, 3),
+        "t x direction": way * hats(m.time),
+        "t x v": m.v[:, None] * hats(m.time),
+        "u x direction": way * np.column_stack([span, hats(np.abs(m.u))]),
+        "v x u": m.v[:, None] * np.column_stack([span, hats(np.abs(m.u), 5)]),
+        "history": stops(m.theta, m.record, widths),
+    }
+
+
+def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str]]:
+    """Return waves whose frequency is chosen by the residual: in time and along the position, with a label."""
+    n = rough.shape[1]
+    skip = lens.shape[1] // n
+    middle = np.arange(len(m.time)).reshape(-1, skip)[:, skip // 2]
+    r, found = rough.ravel(), {}
+    time, theta = m.time[middle], m.theta[middle]
+    tones = np.arange(*TONES, 0.25 / max(float(np.ptp(m.time)), 1.0))
+    for view, frequencies, phase, unit in (
+        ("tone", tones, time, "Hz"),
+        ("theta", np.arange(1.0, PERIODS + 1), theta / (2 * np.pi), "in a turn"),
+    ):
+        power = np.array([abs(np.exp(-2j * np.pi * f * phase) @ r) for f in frequencies])
+        best = float(frequencies[int(np.argmax(power))])
+        angle = 2 * np.pi * best * (m.time if view == "tone" else m.theta / (2 * np.pi))
+        found[view] = (np.column_stack([np.sin(angle), np.cos(angle)]), f"{best:.3g} {unit}")
+    return found
+
+
+def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dict[str, Array] | None = None) -> list[Share]:
+    """Return the views with their shares, the strongest first.
+
+    A view's function is fitted on four fifths of the segments, and the share is what it predicts of the rest. The p of
+    a view is how often the strongest of all views reaches its share when segments get random signs.
+
+    Source: liu1988 (wild bootstrap).
+    """
+    weight = lens.weight
+    live = np.flatnonzero(weight > 0)
+    whole = float(np.einsum("s,sn,sn->", weight, lens.rest, lens.rest))
+    rng = np.random.default_rng(2)
+    signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(FLIPS, len(live)))])
+    labels, tables = {}, dict(made if made is not None else bases(m, h, step))
+    for view, (waves, label) in _searched(lens, m, rough).items():
+        tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
+        labels[view] = label
+    found = {view: _predicted(lens, basis, live, signs) / max(whole, 1e-300) for view, basis in tables.items()}
+    strongest = np.max([np.maximum(draws[1:], 0.0) for draws in found.values()], axis=0)
+    ps = {view: float((1 + np.count_nonzero(strongest >= draws[0])) / (1 + FLIPS)) for view, draws in found.items()}
+    result = [Share(view, max(0.0, float(draws[0])), ps[view], labels.get(view, "")) for view, draws in found.items()]
+    return sorted(result, key=lambda each: -each.share)
+
+
+def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -> Array:
+    """Return for each set of signs by how much the weighted square of held-out segments falls."""
+    columns = lens.free_of_model(lens.through(basis))[live]
+    weight, rest = lens.weight[live], lens.rest[live]
+    grams = np.matmul(columns.transpose(0, 2, 1), columns) * weight[:, None, None]
+    slopes = np.matmul(columns.transpose(0, 2, 1), rest[:, :, None])[:, :, 0] * weight[:, None]
+    total = grams.sum(axis=0)
+    k = len(total)
+    ridge = RIDGE * np.trace(total) / k * np.eye(k) + 1e-300 * np.eye(k)
+    fold, fall = np.arange(len(live)) % FOLDS, np.zeros(len(signs))
+    for f in range(FOLDS):
+        test = fold == f
+        held = grams[test].sum(axis=0)
+        learned = np.linalg.solve(total - held + ridge, ((signs[:, ~test]) @ slopes[~test]).T).T
+        seen = signs[:, test] @ slopes[test]
+        fall += 2 * np.einsum("rk,rk->r", learned, seen) - np.einsum("rk,kl,rl->r", learned, held, learned, optimize=True)
+    return fall
+
+

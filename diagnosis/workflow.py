@@ -1,0 +1,225 @@
+"""The whole workflow: records and a model in, a `Diagnosis` out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis import result as answer
+from bristle.diagnosis.candidates import RIGID
+from bristle.diagnosis.fit import Fit, evaluate, refit
+from bristle.diagnosis.intake import Record
+from bristle.diagnosis.lens import Lens, motion
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, mean_square, search, settle
+from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
+from bristle.diagnosis.views import Share, shares
+from bristle.model.errors import BristleError
+
+Array = NDArray[np.float64]
+Tell = Callable[[str, float], None]
+
+STEP = 1e-3  # s: longest internal step
+TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
+LEFT = 0.12  # share of the residual that a view must predict before it is called a missing effect
+CERTAIN = 0.01
+LONGEST = 60_000  # samples that are looked at in one go
+
+
+def bench_of(model: Model, records: Sequence[Record], values: Mapping[str, float]) -> Bench:
+    """Return the records as segments with their smoothed motion."""
+    h, velocity = records[0].h, model.output_kind == "velocity"
+    length = max(8, round(SEGMENT / h))
+    width = max(1, length // BINS)
+    bins = length // width
+    resolution = model.resolution or max((r.resolution or 0.0 for r in records), default=0.0)
+    noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in records]))
+    resolution = resolution or max(noise, 1e-12)
+    pieces = []
+    for r in records:
+        if len(r.u) < 3 * length:
+            continue
+        pieces.append(cut(r.name, float(r.time[0]), h, r.u, r.y, velocity, resolution, width, bins))
+    if not pieces:
+        raise BristleError(f"records: none lasts three segments of {SEGMENT:g} s; give longer ones")
+    segments = Segments(tuple(pieces), h, width, bins, velocity)
+    kept = [r.y for r in records if len(r.u) >= 3 * length]
+    least = resolution / math.sqrt(12 * width) / 3
+    return Bench(segments, motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h)), resolution, least)
+
+
+def fixed_values(h: float) -> dict[str, float]:
+    """Return the settings of the simulation for a sampling period."""
+    step = h / math.ceil(h / STEP - 1e-9)
+    return {"solver.friction_step": step, "solver.tolerance": TOLERANCE, "u_max": 1e6}
+
+
+def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = None) -> answer.Diagnosis:
+    """Find where a model and records disagree, and name what is missing.
+
+    Parameters
+    ----------
+    model : Model
+        Friction law, nominal parameters and bounds; from `load_model`.
+    records : sequence of Record
+        From `load_records` or `records_from_arrays`; two or more are better than one.
+    progress : function, optional
+        Called with a text and the fraction done.
+
+    Raises
+    ------
+    BristleError
+        If the records are too short or the model cannot be simulated.
+    """
+    begun = time.perf_counter()
+    tell = progress or (lambda text, fraction: None)
+    tell("base refit", 0.0)
+    nominal = {"b": 1.0, **model.parameters}
+    bench = bench_of(model, records, nominal)
+    h = bench.segments.h
+    step = bench.resolution * (h if bench.segments.velocity else 1.0)
+    servo, values = base_servo(model.friction, nominal, model.bounds, fixed_values(h), step)
+    base = settle(bench, servo, values)
+    final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
+    tell("what remains", 0.85)
+    return _conclude(model, records, bench, base, final, rounds, begun)
+
+
+def _conclude(
+    model: Model, records: Sequence[Record], bench: Bench, base: Stage, final: Stage, rounds: list[Verdict], begun: float
+) -> answer.Diagnosis:
+    whole = _whole(bench, final)
+    before, after, lens = _views(bench, base, final)
+    tie = rounds[-1].ties if rounds[-1].best and "alike" in rounds[-1].decision else ()
+    named = final.servo.effects
+    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties]
+    verdict = "named" if named else "tie" if tie else "none"
+    gap = _gap(model, bench, base, final)
+    remains = _remains(after)
+    intervals = estimates(model, whole)
+    effects = tuple(
+        answer.Named(
+            name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
+            v.gain, v.null.p(v.gain),
+        )
+        for name, v in zip(named, rounds, strict=False)
+    )  # fmt: skip
+    return answer.Diagnosis(
+        verdict=verdict,
+        statement=(),
+        effects=effects,
+        ties=tuple(ties),
+        experiment="",
+        where=tuple(answer.View(b.view, b.share, b.p, a.share, a.p, b.label) for b, a in _paired(before, after)),
+        remains=remains,
+        gap=gap,
+        excitation={},
+        findings=tuple(f for r in records for f in r.findings),
+        base=estimates(model, _whole(bench, base)),
+        parameters={k: v for k, v in intervals.items() if "." not in k or k.startswith(model.friction)},
+        rounds=tuple(_round(v) for v in rounds),
+        undetected={},
+        traces=(),
+        model=model,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _whole(bench: Bench, stage: Stage) -> Fit:
+    """Return the servo fitted to all segments, those kept from the search included."""
+    problem = stage.problem.only(bench.segments.judged)
+    return refit(problem, stage.fit.simulator, stage.servo.free, stage.fit.values, stage.fit.starts)
+
+
+def covariance(problem_fit: Fit) -> Array:
+    """Return the covariance of the free parameters (free, free), on the scale each moves on.
+
+    The spread of the segments' own scores stands for the noise. Source: white1982 (sandwich).
+    """
+    fit = problem_fit
+    normal = np.einsum("sni,snj->sij", fit.by_start, fit.by_start)
+    normal[:, [0, 1], [0, 1]] += 1e-12 + 1e-9 * normal[:, [0, 1], [0, 1]]
+    cross = np.einsum("sni,snp->sip", fit.by_start, fit.by_parameter)
+    pull = np.einsum("sni,sn->si", fit.by_start, fit.white)
+    slope = np.einsum("snp,sn->sp", fit.by_parameter, fit.white)
+    slope -= np.einsum("sip,si->sp", cross, np.linalg.solve(normal, pull[:, :, None])[:, :, 0])
+    scores = slope * fit.weight[:, None]
+    inverse = np.linalg.pinv(fit.information, rcond=1e-14, hermitian=True)
+    n = max(np.count_nonzero(fit.weight) - len(fit.free), 1)
+    return np.asarray(inverse @ (scores.T @ scores) @ inverse * (n + len(fit.free)) / n)
+
+
+def estimates(model: Model, fit: Fit) -> dict[str, answer.Estimate]:
+    """Return the free parameters with their 95 % intervals."""
+    spread = 1.96 * np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
+    found = {}
+    for f, wide in zip(fit.free, spread, strict=True):
+        if f.nominal is not None and f.name.startswith(f"{RIGID}."):
+            continue
+        value = fit.values[f.name]
+        low, high = (value * math.exp(-wide), value * math.exp(min(wide, 50.0))) if f.factor else (value - wide, value + wide)
+        found[f.name] = answer.Estimate(value, model.unit(f.name), (low, high), f.stuck(value))
+    return found
+
+
+def _views(bench: Bench, base: Stage, final: Stage) -> tuple[list[Share], list[Share], Lens]:
+    """Return the shares of all views before and after, both as the final noise sees them."""
+    lens = lens_of(final, bench)
+    step = bench.resolution
+    after = shares(lens, bench.motion, bench.segments.h, step, _rough(bench, lens, final.fit))
+    if base.fit is final.fit:
+        return after, after, lens
+    plain = evaluate(final.problem, base.fit.simulator, base.fit.free, base.fit.values, base.fit.starts)
+    first = lens_of(Stage(base.servo, final.problem, plain), bench)
+    before = shares(first, bench.motion, bench.segments.h, step, _rough(bench, first, plain))
+    return before, after, lens
+
+
+def _rough(bench: Bench, lens: Lens, fit: Fit) -> Array:
+    torque = lens.torque(fit)
+    s = bench.segments
+    return np.asarray(torque.reshape(len(torque), s.bins, s.width).mean(axis=2)) * (fit.weight > 0)[:, None]
+
+
+def _paired(before: list[Share], after: list[Share]) -> list[tuple[Share, Share]]:
+    table = {share.view: share for share in after}
+    return [(share, table[share.view]) for share in before]
+
+
+def _remains(after: list[Share]) -> answer.Remains:
+    certain = [share for share in after if share.p <= CERTAIN]
+    if not certain:
+        return answer.Remains(False, None, after[0].share)
+    return answer.Remains(certain[0].share >= LEFT, certain[0].view, certain[0].share)
+
+
+def _gap(model: Model, bench: Bench, base: Stage, final: Stage) -> answer.Gap:
+    """Return mean squares over the segments that were kept from the search, and what the noise alone would give."""
+    before, after = mean_square(base.fit, bench.held), mean_square(final.fit, bench.held)
+    noise = final.problem.noise
+    cover = np.linalg.inv(noise.whiten)
+    covariance_ = cover @ cover.T
+    live = bench.held & (final.fit.weight >= 0)
+    floor = []
+    for columns in final.fit.raw_by_start[live]:
+        q, r = np.linalg.qr(columns)
+        q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(r).max(), 1e-300)]
+        floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
+    alone = float(np.mean(floor)) / bench.segments.bins
+    unit = model.output_unit
+    return answer.Gap(before, after, min(alone, after), f"({unit})2")
+
+
+def _round(v: Verdict) -> answer.Round:
+    """Return a round as it is reported."""
+    bars = []
+    for c in v.candidates:
+        gain = c.fit.total - v.base if c.fit else 0.0
+        bars.append(answer.Candidate(c.name, gain, 0.0, c.refused))
+    bars.sort(key=lambda bar: -bar.gain)
+    added = v.best.name if v.best and "added" in v.decision else None
+    return answer.Round(tuple(bars), v.null.level, v.null.p(v.gain), added, v.decision)
