@@ -15,7 +15,7 @@ from bristle.plant.friction import laws
 from bristle.plant.servo import servo_program
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("model", "plant", "observer", "fmus", "harness")
+ROOMS = ("model", "plant", "observer", "fmus", "harness", "diagnosis")
 SOURCE = re.compile(r"Source: (.+?)(?:\n\s*\n|\Z)", re.DOTALL)
 
 

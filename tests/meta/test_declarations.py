@@ -15,7 +15,7 @@ from bristle.plant.friction import laws
 from bristle.plant.servo import servo_program
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("model", "plant", "observer", "fmus", "harness", "cli")
+ROOMS = ("model", "plant", "observer", "fmus", "harness", "diagnosis", "cli")
 KEY = re.compile(r"\b([a-z]+(?:19|20)\d\d[a-z]?)\b")
 BIBLIOGRAPHY = (ROOT / "references.bib").read_text(encoding="utf-8")
 ENTRIES = re.findall(r"^@(\w+)\{([^,\s]+),\n(.*?)^\}", BIBLIOGRAPHY, re.DOTALL | re.MULTILINE)

@@ -21,10 +21,13 @@ ALLOWED = {
     "observer": {"observer", "model"},
     "fmus": {"fmus", "plant", "observer", "model"},
     "harness": {"harness", "fmus", "model"},
-    "cli": {"cli", "harness", "fmus", "plant", "observer", "model"},
+    "diagnosis": {"diagnosis", "fmus", "plant", "model"},
+    "cli": {"cli", "diagnosis", "harness", "fmus", "plant", "observer", "model"},
 }
 # what of the ground floor the harness may use: it knows FMUs, not equations
-HARNESS_MODEL = {"bristle.model.units", "bristle.model.compiler", "bristle.model.errors", "bristle.model.cache"}
+HARNESS_MODEL = {
+    f"bristle.model.{name}" for name in ("units", "compiler", "errors", "cache", "output", "html", "drawing")
+}
 
 
 def imports(path):

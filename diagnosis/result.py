@@ -1,0 +1,191 @@
+"""What a diagnosis says: the content of diagnosis.json, and what the report draws beside it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a limit."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None
+    at_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that was added: `gain` is the rise of the log-likelihood over its null's 99 % level, per segment."""
+
+    name: str
+    group: str
+    parameters: dict[str, Estimate]
+    gain: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One bar of the chart of a round: gain of an effect [nats] beside the null's level; why it was dropped, if it was."""
+
+    name: str
+    gain: float
+    shrink: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One step of the stepwise search: all candidates, the 99 % null level of the largest gain, and what was decided."""
+
+    candidates: tuple[Candidate, ...]
+    null_level: float
+    p: float
+    added: str | None
+    decision: str
+
+
+@dataclass(frozen=True)
+class View:
+    """Share of the residual torque that is predictable from a view, before and after; p of the share before.
+
+    `x` and `y` (optional second coordinate) label the map; `before` and `after` are residual torques in the bins of
+    `centres` (two arrays for views with a direction: forward, backward).
+    """
+
+    view: str
+    share: float
+    p: float
+    share_after: float
+    p_after: float
+    label: str = ""
+    centres: Array = field(default_factory=lambda: np.empty(0))
+    before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins)
+    after: Array = field(default_factory=lambda: np.empty(0))
+    lines: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Remains:
+    """Whether something predictable is left that no effect explains, where, and its share of the residual."""
+
+    flag: bool
+    view: str | None
+    share: float
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Mean squared output error over held-out segments [unit of the output, squared]; see the contract."""
+
+    before: float
+    after: float
+    noise_floor: float | None
+    unit: str
+
+    @property
+    def ratio(self) -> float | None:
+        return None if not self.noise_floor else self.before / self.noise_floor
+
+    @property
+    def shrink(self) -> float | None:
+        if self.noise_floor is None or self.before <= self.noise_floor:
+            return None
+        return (self.before - self.after) / (self.before - self.noise_floor)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Measured and simulated output of one record, segment by segment (NaN where no segment lies)."""
+
+    name: str
+    time: Array
+    input: Array
+    measured: Array
+    before: Array
+    after: Array
+    held_out: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer; `to_dict` gives the content of diagnosis.json.
+
+    `findings` are lines of intake and plausibility (what, where, what to do); `statement` is the answer in sentences.
+    """
+
+    verdict: str  # named | tie | none | not_identifiable
+    statement: tuple[str, ...]
+    effects: tuple[Named, ...]
+    ties: tuple[tuple[str, ...], ...]
+    experiment: str
+    where: tuple[View, ...]
+    remains: Remains
+    gap: Gap
+    excitation: dict[str, Any]
+    findings: tuple[str, ...]
+    base: dict[str, Estimate]  # parameters of the model, refitted without effects
+    parameters: dict[str, Estimate]  # the same with the effects added
+    rounds: tuple[Round, ...]
+    undetected: dict[str, str]  # effects not found: what size would have been seen, or why it cannot be seen
+    traces: tuple[Trace, ...]
+    model: Any = None  # diagnosis.modelfile.Model
+    proposals: tuple[str, ...] = ()  # sign flip, unit factor: mend the data first
+    seconds: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
+        return _plain(
+            {
+                "verdict": self.verdict,
+                "statement": list(self.statement),
+                "effects": [
+                    {"name": e.name, "class": e.group, "parameters": {k: asdict(v) for k, v in e.parameters.items()},
+                     "gain": e.gain, "p": e.p}
+                    for e in self.effects
+                ],
+                "ties": [list(t) for t in self.ties],
+                "experiment": self.experiment,
+                "where": [
+                    {"view": w.view, "share": w.share, "p": w.p, "share_after": w.share_after, "p_after": w.p_after}
+                    for w in self.where
+                ],
+                "remains": asdict(self.remains),
+                "gap": {"before": self.gap.before, "after": self.gap.after, "noise_floor": self.gap.noise_floor,
+                        "ratio": self.gap.ratio, "shrink": self.gap.shrink, "unit": self.gap.unit},
+                "excitation": self.excitation,
+                "findings": list(self.findings),
+                "proposals": list(self.proposals),
+                "base": {k: asdict(v) for k, v in self.base.items()},
+                "parameters": {k: asdict(v) for k, v in self.parameters.items()},
+                "rounds": [asdict(r) for r in self.rounds],
+                "undetected": dict(self.undetected),
+                "seconds": self.seconds,
+            }
+        )  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    """Replace arrays by lists and numbers that are not finite by None."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value
