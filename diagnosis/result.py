@@ -141,6 +141,9 @@ class Diagnosis:
     model: Any = None  # diagnosis.modelfile.Model
     proposals: tuple[str, ...] = ()  # sign flip, unit factor: mend the data first
     seconds: float = 0.0
+    # of each member of a tie, as if it had been named: its own parameters, and those of the model beside it
+    choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
@@ -169,6 +172,7 @@ class Diagnosis:
                 "parameters": {k: asdict(v) for k, v in self.parameters.items()},
                 "rounds": [asdict(r) for r in self.rounds],
                 "undetected": dict(self.undetected),
+                "choices": {n: {k: asdict(v) for k, v in found.items()} for n, found in self.choices.items()},
                 "seconds": self.seconds,
             }
         )  # fmt: skip
