@@ -108,8 +108,10 @@ def _held(system: System, value: SX, theta: SX, v: SX) -> SX:
         x, rate = system.vector(list(system.states)), system.rate_vector()
         ahead = x + ca.solve(SX.eye(x.numel()) - half * ca.jacobian(rate, x), half * rate)
         [value] = ca.substitute([value], [x], [ahead])
-    line = list(system.before)
-    [value] = ca.substitute([value], [system.vector(line)], [ca.vertcat(*(system.updates[name] for name in line))]) if line else [value]
+    if system.before:
+        line = list(system.before)
+        taken = ca.vertcat(*(system.updates[name] for name in line))
+        [value] = ca.substitute([value], [system.vector(line)], [taken])
     [value] = ca.substitute([value], [ca.vertcat(theta, system.time)], [ca.vertcat(theta + half * v, system.time + half)])
     return SX(value)
 

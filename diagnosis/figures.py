@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +34,7 @@ BEFORE, AFTER = ORANGE, BLUE
 SECONDS = 4.0  # of the overlay
 SLICE = 0.2  # s over which the errors along the records are averaged
 LINES = 2000  # points of a curve of the overlay
+LABEL: Any = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
 MAPS = 3  # views that are drawn
 BARS = 9  # candidates of a round that are drawn
 PER_ROW = 2  # rounds beside each other
@@ -43,6 +44,13 @@ AXES = {  # first part of a view -> name and kind of quantity
     "history": ("travel since the last reversal", "angle"), "direction": ("sign of the velocity", "none"),
     "frequency": ("frequency", "frequency"), "tone": ("frequency", "frequency"),
 }  # fmt: skip
+
+
+def view_name(view: str) -> str:
+    """Return a view in words: "theta x direction" is the position with the sign of the velocity."""
+    first, _, second = view.partition(" x ")
+    names = [AXES.get(part, (part, ""))[0] for part in (first, second) if part]
+    return " × ".join(names)
 
 
 @dataclass(frozen=True)
@@ -102,7 +110,7 @@ def draw(diagnosis: Diagnosis) -> dict[str, str]:
         for name, figure in (
             ("gap", _gap(diagnosis, rig)),
             ("overlay", _overlay(diagnosis, rig)),
-            ("maps", _maps(diagnosis.where, rig, _improved(diagnosis))),
+            ("maps", _maps(diagnosis.where, rig, improved(diagnosis))),
             ("candidates", _candidates(diagnosis)),
         ):
             if figure is not None:
@@ -110,7 +118,7 @@ def draw(diagnosis: Diagnosis) -> dict[str, str]:
     return made
 
 
-def _improved(diagnosis: Diagnosis) -> bool:
+def improved(diagnosis: Diagnosis) -> bool:
     """True if there is an "after" that differs from "before"."""
     return bool(diagnosis.effects) or bool(diagnosis.choices)
 
@@ -126,7 +134,8 @@ def rms(square: float | None, rig: Rig) -> tuple[float, str]:
 
 def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     gap = diagnosis.gap
-    rows = [("before", gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if _improved(diagnosis) else [])
+    first = "before" if improved(diagnosis) else "refitted model"
+    rows = [(first, gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if improved(diagnosis) else [])
     values = [rms(square, rig)[0] for _, square, _ in rows]
     floor, unit = rms(gap.noise_floor, rig)
     if not all(map(math.isfinite, values)) or max(values) <= 0:
@@ -189,19 +198,19 @@ def _overlay(diagnosis: Diagnosis, rig: Rig) -> Any:
     if found is None:
         return None
     trace, part = found
-    improved = _improved(diagnosis)
+    both = improved(diagnosis)
     figure = new_figure(11.0, 6.1)
     grid = figure.add_gridspec(3, 1, height_ratios=[0.7, 1.7, 1.0], hspace=0.5)
     along, top, low = (figure.add_subplot(grid[row]) for row in range(3))
-    _along(along, trace, part, rig, improved)
+    _along(along, trace, part, rig, both)
     factor, unit = shown(rig.output)
     index = np.arange(len(trace.time))[part]
     index = index[thin(len(index), LINES)]
     time = trace.time[index]
-    curves = [("before", trace.before, BEFORE, "-"), ("after", trace.after, AFTER, (0, (3, 2)))][: 2 if improved else 1]
+    curves = [("before", trace.before, BEFORE, "-"), ("after", trace.after, AFTER, (0, (3, 2)))][: 2 if both else 1]
     top.plot(time, factor * trace.measured[index], color=INK, linewidth=3.0, alpha=0.28, label="measured")
     for name, values, colour, style in curves:
-        label = f"simulated, {name}" if improved else "simulated, refitted model"
+        label = f"simulated, {name}" if both else "simulated, refitted model"
         top.plot(time, factor * values[index], color=colour, linestyle=style, linewidth=1.3, label=label)
         low.plot(time, factor * (values - trace.measured)[index], color=colour, linewidth=1.0)
     low.axhline(0, color=INK, linewidth=0.7)
@@ -271,7 +280,7 @@ def _map(ax: Any, view: View, rig: Rig, improved: bool) -> None:
     ax.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
     ax.legend(loc="upper left", ncols=2, fontsize=8, handlelength=1.8, columnspacing=1.0, borderaxespad=0.2)
     share = f"{100 * view.share:.0f} %" + (f" → {100 * view.share_after:.0f} %" if improved else "")
-    set_title(ax, f"{view.view}: {share} of the residual")
+    set_title(ax, f"{view_name(view.view)}: {share} of the residual")
     set_labels(ax, x=label)
 
 
@@ -309,7 +318,7 @@ def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
         gain = max(candidate.gain, 0.0) if math.isfinite(candidate.gain) else 0.0
         ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
         text = f"{candidate.name}  {candidate.gain:.3g}" + (f"  ({candidate.note})" if candidate.note else "")
-        ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True)
+        ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
     ax.set_xlim(0, right)
     ax.set_ylim(len(drawn) - 0.5, -0.6)
     ax.set_yticks([])
@@ -328,13 +337,27 @@ def _shade_of(candidate: Candidate, each: Round, tied: set[str]) -> str:
     return PALE
 
 
-CAPTIONS: Mapping[str, tuple[str, str]] = {
-    "gap": ("The gap", "Root of the mean squared error over short segments that took no part in the search. Dark band: what "
-            "resolution and disturbances alone give. The shrink is that of the mean square above this floor."),
-    "overlay": ("Before and after", "Each segment starts from its own fitted position and velocity. Before: the model refitted "
-                "without the effect. Green shade: held out of the search."),
-    "maps": ("Where the difference lives", "Residual torque averaged in bins of the view, before (orange) and after (blue); solid: "
-             "forward, dashed: backward. The share is how much of the residual the view predicts on data it has not seen."),
-    "candidates": ("What each effect would gain", "Rise of the log-likelihood when the effect is added and everything refitted. Grey band: "
-                   "what the best of all candidates reaches by chance in 99 of 100 records without any effect. Blue: added; red: tied."),
-}  # fmt: skip
+def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
+    """Return title and caption of each figure."""
+    both = improved(diagnosis)
+    band = " Dark band: what resolution and disturbances alone give." if diagnosis.gap.noise_floor is not None else ""
+    shrink = " The shrink is that of the mean square above this floor." if both and band else ""
+    before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
+    colours = ", before (orange) and after (blue)" if both else ""
+    return {
+        "gap": ("The gap", f"Root of the mean squared error over short segments that took no part in the search.{band}{shrink}"),
+        "overlay": (
+            "Before and after" if both else "Measured and simulated",
+            f"Each segment starts from its own fitted position and velocity.{before} Green shade: held out of the search.",
+        ),
+        "maps": (
+            "Where the difference lives",
+            f"Residual averaged in bins of the view{colours}; solid: forward, dashed: backward, where there are two lines. "
+            "The share is how much of the residual the view predicts on data it has not seen.",
+        ),
+        "candidates": (
+            "What each effect would gain",
+            "Rise of the log-likelihood when the effect is added and everything refitted. Grey band: what the best of all "
+            "candidates reaches by chance in 99 of 100 records without any effect. Blue: added; red: tied.",
+        ),
+    }
