@@ -1,1 +1,6 @@
-"""Measured records against a model: where they disagree, which effect is missing, and the model with it."""
+"""Measured records against a model: where they disagree, the name of what is missing, and the model with it added."""
+
+from bristle.diagnosis.intake import Record, load_records, records_from_arrays
+from bristle.diagnosis.modelfile import Model, load_model
+
+__all__ = ["Model", "Record", "load_model", "load_records", "records_from_arrays"]

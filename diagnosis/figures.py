@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.diagnosis.modelfile import INPUT_UNITS
 from bristle.diagnosis.result import Candidate, Diagnosis, Round, Trace, View
-from bristle.diagnosis.units import DRIVEN, shown
+from bristle.diagnosis.units import shown
 from bristle.model.drawing import (
     BLUE,
     GREEN,
@@ -68,7 +69,8 @@ class Rig:
         if model is not None:
             return cls(bool(model.linear), model.input_kind, model.output_kind)
         unit = diagnosis.gap.unit
-        return cls(not unit.strip("(").startswith("rad"), output_kind="velocity" if "/s" in unit else "position")
+        linear = not unit.strip("(").startswith("rad")
+        return cls(linear, "force" if linear else "torque", "velocity" if "/s" in unit else "position")
 
     @property
     def angle(self) -> str:
@@ -88,7 +90,7 @@ class Rig:
     @property
     def drive(self) -> str:
         """Unit of the input."""
-        return "N" if self.linear and self.input_kind == "torque" else DRIVEN.get(self.input_kind, "V")
+        return INPUT_UNITS[self.input_kind]
 
     def axis(self, view: str) -> tuple[float, str]:
         """Return (factor, label) of the axis of a view."""

@@ -8,8 +8,8 @@ from html import escape
 from typing import Any
 
 from bristle.diagnosis.figures import Rig, captions, improved, view_name
+from bristle.diagnosis.modelfile import si_unit
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
-from bristle.diagnosis.units import rig_unit
 from bristle.model.html import badge, figure, number, page, table, unit
 from bristle.plant.effects import effects as all_effects
 
@@ -33,7 +33,8 @@ def headline(diagnosis: Diagnosis) -> str:
         sets = "; ".join(_listed(tie, "or") for tie in diagnosis.ties)
         return f"The model lacks {sets}: the data fit each equally well"
     if diagnosis.verdict == "none":
-        return "Something is missing, and no effect of the catalogue explains it" if diagnosis.remains.flag else "No effect is missing"
+        unknown = "Something is missing, and no effect of the catalogue explains it"
+        return unknown if diagnosis.remains.flag else "No effect is missing"
     return "These records cannot tell what is missing"
 
 
@@ -66,7 +67,7 @@ class _Writer:
         self.rig = rig
 
     def unit(self, text: str) -> str:
-        return unit(rig_unit(text, self.rig.linear, self.rig.input_kind)) or "–"
+        return unit(si_unit(text, self.rig.linear, self.rig.input_kind)) or "–"
 
     def estimate(self, e: Estimate | None) -> str:
         """Write value, interval and, where it ended there, the bound."""

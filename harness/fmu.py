@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from bristle.model.errors import BristleError
+from bristle.model.errors import BristleError, suggest
 from bristle.model.units import parse_unit, quantity
 
 Value = float | int | bool | str
@@ -25,14 +25,6 @@ MAX_RATIO, RATIO_FROM = 100, 1 << 26  # from 64 MiB on, more than 100 times the 
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # FMI: the name of a C function's prefix, hence of a plain file
 
 _REAL, _ENUMERATION, _BOOLEAN = ("Real", "Float64"), ("Enumeration",), ("Boolean",)
-
-
-def suggest(word: str, known: Sequence[str]) -> str:
-    """Return " (did you mean 'x'?)" or nothing."""
-    import difflib
-
-    near = difflib.get_close_matches(word, known, 1, 0.6)
-    return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 class Fmu:

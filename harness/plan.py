@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from bristle.harness.fmu import Fmu, Value, suggest
+from bristle.harness.fmu import Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
 from bristle.harness.record import Samples, read_record
 from bristle.harness.scenario import Loaded, Part, Scenario
-from bristle.model.errors import BristleError
+from bristle.model.errors import BristleError, suggest
 
 Kind = Literal["native", "python"]
 

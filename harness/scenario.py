@@ -6,12 +6,12 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
-from bristle.harness.fmu import suggest
 from bristle.model.errors import BristleError
+from bristle.model.toml import Section, first_mistake, mistake, read_toml
 from bristle.model.units import quantity
 
 MAX_STEPS = 5_000_000  # a run keeps every step in memory
@@ -32,17 +32,11 @@ Given = str | int | float | bool
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class Section(BaseModel):
-    """A table of the file; unknown keys are mistakes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
 class Part(Section):
     """An FMU on the bus: built by bristle, or a file of somebody else's."""
 
     fmu: str | None = None
-    parameters: dict[str, Given] = {}
+    parameters: dict[str, Given] = Field(default={})
 
 
 class Plant(Part):
@@ -131,7 +125,7 @@ class Scenario(Section):
     observer: Observer
     sensor: Literal["clean", "encoder"] = "clean"
     controller_sensor: Literal["clean", "encoder"] = "clean"
-    stimuli: list[Stimulus] = []
+    stimuli: list[Stimulus] = Field(default=[])
     record: Record | None = None
     validation: Validation | None = None
     checks: list[Check] = Field(min_length=1)
@@ -193,7 +187,7 @@ class Loaded:
 
     def error(self, key: str, value: object, message: str) -> BristleError:
         """Return the one-line error for a key of this file."""
-        return _error(self.path, key, value, message)
+        return mistake(self.path, key, value, message)
 
 
 def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> Loaded:
@@ -213,15 +207,7 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
     BristleError
         One line that names file, key, value and what is allowed.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        tree = tomllib.loads(text)
-    except OSError as error:
-        raise BristleError(f"{path}: {error.strerror}; check the path of the scenario file") from None
-    except UnicodeDecodeError:
-        raise BristleError(f"{path}: not UTF-8 text; give a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise BristleError(f"{path}: not valid TOML: {error}; mend that place") from None
+    text, tree = read_toml(path, "scenario file")
     for part in PARTS:
         _flatten_parameters(tree, part)
     for override in overrides:
@@ -233,9 +219,9 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
     try:
         scenario = Scenario.model_validate(tree)
     except ValidationError as error:
-        raise _first(path, tree, error) from None
+        raise first_mistake(path, Scenario, error) from None
     if scenario.name and scenario.name != path.stem:
-        raise _error(path, "name", scenario.name, f"must be the file's name '{path.stem}'; rename one of them or leave name out")
+        raise mistake(path, "name", scenario.name, f"must be the file's name '{path.stem}'; rename one of them or leave name out")
     given = [*overrides, *([f"controller.parameters.seed={seed}"] if seed is not None else [])]
     return Loaded(path, text, scenario, given)
 
@@ -289,67 +275,3 @@ def _override(tree: dict[str, Any], override: str) -> None:
             node = node.setdefault(key, {})
         else:
             raise BristleError(f"--set {override}: '{'.'.join(keys[:depth])}' is a value, not a table; shorten the path")
-
-
-# -- errors ----------------------------------------------------------------------------------------------------------
-
-
-def _shown(value: object) -> str:
-    text = f'"{value}"' if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _error(path: Path, key: str, value: object, message: str) -> BristleError:
-    where = f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
-    return BristleError(" ".join(f"{where}: {message}".split()))
-
-
-def _dotted(location: Sequence[int | str]) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
-
-
-def _model_at(location: Sequence[int | str]) -> type[BaseModel] | None:
-    """Return the section that a location of an error lies in."""
-    model: type[BaseModel] = Scenario
-    for part in location:
-        if isinstance(part, int):
-            continue
-        if part not in model.model_fields:
-            return None
-        found = [t for t in _types(model.model_fields[part].annotation) if isinstance(t, type) and issubclass(t, BaseModel)]
-        if not found:
-            return None
-        model = found[0]
-    return model
-
-
-def _types(annotation: Any) -> list[Any]:
-    inner = get_args(annotation)
-    return [annotation] if not inner else [t for arg in inner for t in _types(arg)]
-
-
-def _first(path: Path, tree: Mapping[str, Any], error: ValidationError) -> BristleError:
-    """Turn what pydantic found first into one line."""
-    found = error.errors()
-    # an unknown key explains a missing one better than the other way round
-    first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
-    kind, location, value = first["type"], [p for p in first["loc"] if not str(p).startswith("function-")], first["input"]
-    key, context = _dotted(location), first.get("ctx", {})
-    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-    if kind == "extra_forbidden":
-        model = _model_at(location[:-1])
-        known = list(model.model_fields) if model else []
-        return _error(path, key, value, f"unknown key{suggest(str(location[-1]), known)}; allowed here: {', '.join(known)}{more}")
-    if kind == "missing":
-        return _error(path, key, None, f"missing; add it{more}")
-    if kind == "value_error":
-        return _error(path, key, value if key and not isinstance(value, (dict, Section)) else None, f"{context.get('error')}{more}")
-    if kind == "literal_error":
-        return _error(path, key, value, f"not a choice; choose one of: {str(context.get('expected')).replace(' or ', ', ')}{more}")
-    hint = {
-        "greater_than_equal": f"must be at least {context.get('ge')}",
-        "finite_number": "must be a finite number",
-        "too_short": f"needs at least {context.get('min_length')} entry",
-        "model_type": "must be a table; write it as [section]",
-    }.get(kind, first["msg"].replace("Input should be", "must be"))
-    return _error(path, key, value, f"{hint}; change the value{more}")

@@ -1,6 +1,8 @@
-"""The exceptions a user can meet."""
+"""The exceptions a user can meet, and the near miss they suggest."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 
 class BristleError(ValueError):
@@ -19,3 +21,11 @@ class SimulationError(BristleError):
     def __init__(self, message: str, time: float) -> None:
         super().__init__(message)
         self.time = time
+
+
+def suggest(word: str, known: Sequence[str]) -> str:
+    """Return " (did you mean 'x'?)" or nothing."""
+    import difflib
+
+    near = difflib.get_close_matches(word, known, 1, 0.6)
+    return f" (did you mean '{near[0]}'?)" if near else ""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Gap, Named, Remains, Round, Trace, View
 
 Array = NDArray[np.float64]
@@ -17,18 +18,26 @@ STEP, SEGMENT = 2e-3, 200  # s, samples
 J, A2, FC = 0.01, 0.02, 0.12
 
 
-@dataclass(frozen=True)
-class Model:
-    """What a model file says, as far as the outputs read it."""
+def model(**changes: Any) -> Model:
+    """Return a model as its file gives it."""
+    table = {
+        "friction": "coulomb",
+        "parameters": {"J": 0.011, "a2": 0.015, "Fc": 0.1},
+        "bounds": {"J": [0.003, 0.03], "a2": [0.0, 0.2], "Fc": [0.0, 0.6]},
+        "time": {"column": "t", "unit": "s"},
+        "input": {"column": "u", "kind": "torque", "unit": "N.m"},
+        "output": {"column": "theta", "kind": "position", "unit": "rad", "resolution": 3.834951969714103e-4},
+    }
+    return Model.from_dict(table | changes)
 
-    friction: str = "coulomb"
-    parameters: dict[str, float] = field(default_factory=lambda: {"J": 0.011, "a2": 0.015, "coulomb.Fc": 0.1})
-    bounds: dict[str, tuple[float, float]] = field(default_factory=lambda: {"J": (0.003, 0.03)})
-    input_kind: str = "torque"
-    output_kind: str = "position"
-    resolution: float | None = 3.834951969714103e-4
-    effects: dict[str, dict[str, float]] = field(default_factory=dict)
-    linear: bool = False
+
+def linear_model() -> Model:
+    """Return the model of a linear axis."""
+    return model(
+        parameters={"J": "2 kg", "a2": "8 N.s/m", "Fc": "3 N"}, bounds={"J": [0.5, 6.0]},
+        input={"column": "F", "kind": "force", "unit": "N"},
+        output={"column": "x", "kind": "position", "unit": "mm", "resolution": 0.001},
+    )  # fmt: skip
 
 
 def estimate(value: float, unit: str, percent: float = 3.0, at_bound: bool = False) -> Estimate:
@@ -146,7 +155,7 @@ def named() -> Diagnosis:
         ),
         undetected=UNDETECTED,
         traces=(trace("run_1.csv", 1, cogging), trace("run_2.csv", 2, cogging)),
-        model=Model(), seconds=38.0,
+        model=model(), seconds=38.0,
     )  # fmt: skip
 
 
@@ -190,7 +199,6 @@ def none() -> Diagnosis:
 
 def not_identifiable() -> Diagnosis:
     """A linear axis that hardly moves."""
-    model = Model(parameters={"J": 2.0, "a2": 8.0, "coulomb.Fc": 3.0}, input_kind="force", linear=True, resolution=1e-6)
     slow = trace("slow.csv", 3, lambda theta, t: 0.0, seconds=6.0)
     scaled = replace(slow, measured=slow.measured * 5e-3, before=slow.before * 5e-3, after=slow.after * 5e-3)
     return replace(
@@ -199,14 +207,15 @@ def not_identifiable() -> Diagnosis:
         effects=(), where=(), remains=Remains(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m2"),
         experiment="Move at three speeds or more, with reversals, over 50 mm.",
         base={
-            "J": estimate(6.0, "kg.m2", at_bound=True), "a2": estimate(7.0, "N.m.s/rad", 80), "coulomb.Fc": estimate(3.4, "N.m", 40),
+            "J": estimate(6.0, "kg.m2", at_bound=True), "a2": estimate(7.0, "N.m.s/rad", 80),
+            "coulomb.Fc": estimate(3.4, "N.m", 40),
         },
         parameters={}, rounds=(), undetected={},
         excitation={
             "travel": {"value": 0.003, "unit": "m"}, "reversals": 2, "speed_range": {"value": [0.010, 0.011], "unit": "m/s"},
             "caveats": ["Two reversals only."],
         },
-        findings=(), traces=(scaled,), model=model, seconds=4.0,
+        findings=(), traces=(scaled,), model=linear_model(), seconds=4.0,
     )  # fmt: skip
 
 

@@ -22,11 +22,11 @@ ALLOWED = {
     "fmus": {"fmus", "plant", "observer", "model"},
     "harness": {"harness", "fmus", "model"},
     "diagnosis": {"diagnosis", "fmus", "plant", "model"},
-    "cli": {"cli", "diagnosis", "harness", "fmus", "plant", "observer", "model"},
+    "cli": {"cli", "harness", "diagnosis", "fmus", "plant", "observer", "model"},
 }
 # what of the ground floor the harness may use: it knows FMUs, not equations
 HARNESS_MODEL = {
-    f"bristle.model.{name}" for name in ("units", "compiler", "errors", "cache", "output", "html", "drawing")
+    f"bristle.model.{name}" for name in ("units", "compiler", "errors", "cache", "table", "toml", "output", "html", "drawing")
 }
 
 

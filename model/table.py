@@ -1,0 +1,173 @@
+"""Tables of numbers: one reader for CSV, MAT, NPZ and Parquet, and columns converted to SI."""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.model.errors import BristleError, suggest
+from bristle.model.units import parse_unit
+
+Array = NDArray[np.float64]
+
+
+def read_columns(path: Path) -> dict[str, Array]:
+    """Return all numeric columns of a file by name, each of shape (n,); an empty field of a CSV is NaN.
+
+    Raises
+    ------
+    BristleError
+        If the file cannot be read or is of no known format.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise BristleError(f"record {path}: unknown format '{path.suffix}'; known: {', '.join(READERS)}")
+    try:
+        columns = reader(path)
+    except BristleError:
+        raise
+    except OSError as error:
+        if error.strerror is None:  # pyarrow's own errors are OSErrors without an error number
+            raise _unreadable(path, error) from None
+        raise BristleError(f"record {path}: {error.strerror}; check the path") from None
+    except Exception as error:  # each format's reader has its own exceptions
+        raise _unreadable(path, error) from None
+    if not columns:
+        raise BristleError(f"record {path}: no column of numbers; check the file")
+    return columns
+
+
+def _unreadable(path: Path, error: Exception) -> BristleError:
+    return BristleError(f"record {path}: cannot be read: {' '.join(str(error).split())}; check the file")
+
+
+def _read_csv(path: Path) -> dict[str, Array]:
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        first = stream.readline()
+        while first and not first.strip():
+            first = stream.readline()
+        # a header without a comma is one of semicolons or tabs, which spreadsheets write
+        separator = next((mark for mark in ",;\t" if mark in first), ",")
+        header = [name.strip() for name in next(csv.reader([first.lstrip("# ")], delimiter=separator), [])]
+        if any(_is_number(name) for name in header):
+            raise BristleError(f"record {path}: the first line holds numbers; write the column names there")
+        twice = sorted({name for name in header if header.count(name) > 1})
+        if twice:
+            raise BristleError(f"record {path}: column '{twice[0]}' is there twice; give each column its own name")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # of no data, which is an error below
+                table = np.loadtxt(stream, delimiter=separator, comments=None, quotechar='"', ndmin=2)
+        except ValueError:
+            table = np.empty((0, 0))
+    if table.shape[1] != len(header) or not len(table):
+        table = _read_rows(path, separator, len(header))
+    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(header)}
+
+
+def _read_rows(path: Path, separator: str, width: int) -> Array:
+    """Read a CSV row by row: slower, but it knows where a mistake is and takes empty fields."""
+    rows: list[list[float]] = []
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        reader = csv.reader(stream, delimiter=separator)
+        found = ((reader.line_num, row) for row in reader if row and any(field.strip() for field in row))
+        next(found, None)
+        for line, row in found:
+            if len(row) != width:
+                raise BristleError(f"record {path}: line {line} has {len(row)} values, the header {width}; mend that line")
+            try:
+                rows.append([float(field) if field.strip() else np.nan for field in row])
+            except ValueError:
+                word = next(field for field in row if field.strip() and not _is_number(field))
+                raise BristleError(
+                    f"record {path}: line {line}: '{word}' is no number; keep only numbers below the header"
+                ) from None
+    if not rows:
+        raise BristleError(f"record {path}: no data below a header line; write the column names in the first line")
+    return np.array(rows)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_mat(path: Path) -> dict[str, Array]:
+    from scipy.io import loadmat
+
+    with path.open("rb") as stream:
+        try:
+            found = loadmat(stream)
+        except NotImplementedError:  # version 7.3 is HDF5
+            raise BristleError(f"record {path}: MAT file of version 7.3; save it with -v7") from None
+    return _vectors({name: value for name, value in found.items() if not name.startswith("__")})
+
+
+def _read_npz(path: Path) -> dict[str, Array]:
+    with np.load(path, allow_pickle=False) as archive:
+        return _vectors(dict(archive))
+
+
+def _read_parquet(path: Path) -> dict[str, Array]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with path.open("rb") as stream:
+        table = pq.read_table(stream)
+    numeric = [field.name for field in table.schema if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
+    return {name: table[name].to_numpy().astype(float) for name in numeric}
+
+
+def _vectors(found: Mapping[str, NDArray[np.generic]]) -> dict[str, Array]:
+    numeric = {name: np.asarray(value) for name, value in found.items() if np.asarray(value).dtype.kind in "fiu"}
+    return {name: value.astype(float).ravel() for name, value in numeric.items() if value.size == max(value.shape, default=0)}
+
+
+READERS: dict[str, Callable[[Path], dict[str, Array]]] = {
+    ".csv": _read_csv,
+    ".mat": _read_mat,
+    ".npz": _read_npz,
+    ".parquet": _read_parquet,
+}
+
+
+def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
+    """Return what a value in `unit` is multiplied by to be in `si_unit`; `scale` is such as ``"1 rad/m"``.
+
+    Raises
+    ------
+    BristleError
+        If a unit is not known or does not fit.
+    """
+    have, want = parse_unit(unit), parse_unit(si_unit)
+    factor, exponents = have.factor / want.factor, np.array(have.exponents)
+    if scale is not None:
+        number, _, text = scale.strip().partition(" ")
+        over = parse_unit(text or "1")
+        if not _is_number(number) or not np.isfinite(float(number)) or float(number) == 0.0:
+            raise BristleError(f"scale '{scale}' is not a number with a unit; write for example \"20 rad/m\"")
+        factor, exponents = factor * float(number) * over.factor, exponents + np.array(over.exponents)
+    if tuple(exponents) != want.exponents:
+        raise BristleError(
+            f"unit '{unit}' does not fit, a unit like '{si_unit}' is needed; "
+            f'correct it, or add scale = "... {si_unit}" over that unit'
+        )
+    return factor
+
+
+def si_column(where: str, columns: Mapping[str, Array], name: str, unit: str, scale: str | None, si_unit: str) -> Array:
+    """Return a column in SI units, shape (n,); `where` begins the line of an error."""
+    if name not in columns:
+        raise BristleError(f"{where}: no column '{name}'{suggest(name, list(columns))}; there are: {', '.join(columns)}")
+    try:
+        return columns[name] * factor_to(unit, scale, si_unit)
+    except BristleError as error:
+        raise BristleError(f"{where}: {error}") from None
