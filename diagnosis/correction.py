@@ -31,12 +31,25 @@ REFUSED = {  # slot of an effect: why no input can stand in for it
 }
 
 
-def refusal(name: str) -> str | None:
-    """Return why an effect cannot act through the input, in one line, or None if it can."""
+def refusal(name: str, present: Sequence[str] = (), added: Sequence[str] = ()) -> str | None:
+    """Return why an effect cannot act through the input, in one line, or None if it can.
+
+    Parameters
+    ----------
+    name : str
+        The effect.
+    present, added : sequence of str
+        Effects of the whole model, and those of them that the plant to be corrected lacks.
+    """
     effect = find_effect(name)
     for slot, reason in REFUSED.items():
         if getattr(effect, slot) is not None:
             return f"{name} {reason}"
+    for other in map(find_effect, present):
+        if effect.load_side and other.coupling is not None:
+            return f"{name} acts on the load behind the coupling of {other.name}, which an input reaches later"
+        if other.name not in added and (other.command or other.drive):
+            return f"{name} would pass through {other.name}, which the plant has already, and be changed by it"
     return None
 
 
@@ -59,7 +72,7 @@ def correction_program(effects: Sequence[str], parameters: Mapping[str, float] |
         raise BristleError("a correction of no effect changes nothing; name one")
     for name in effects:
         if reason := refusal(name):
-            raise BristleError(f"no correction: {reason}; use the plant with the effect instead")
+            raise BristleError(f"no correction: {reason}; use a plant that has the effect")
     ordered = arrange([find_effect(name) for name in effects])
     system = _system(ordered)
     given = {name: value for name, value in (parameters or {}).items() if name in system.parameters}

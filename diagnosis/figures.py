@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.modelfile import INPUT_UNITS
 from bristle.diagnosis.result import Candidate, Diagnosis, Round, Trace, View
-from bristle.diagnosis.units import shown
 from bristle.model.drawing import (
     BLUE,
+    DEGREES,
     GREEN,
     GREY,
     INK,
@@ -39,12 +39,22 @@ LABEL: Any = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
 MAPS = 3  # views that are drawn
 BARS = 9  # candidates of a round that are drawn
 PER_ROW = 2  # rounds beside each other
+SHOWN = {  # SI unit -> factor and unit of a figure's axis
+    "rad": (DEGREES, "deg"), "rad/s": (DEGREES, "deg/s"), "rad/s2": (DEGREES, "deg/s²"),
+    "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "m/s2": (1.0, "m/s²"),
+    "N.m": (1.0, "N·m"), "1": (1.0, ""),
+}  # fmt: skip
 AXES = {  # first part of a view -> name and kind of quantity
     "theta": ("position", "angle"), "v": ("velocity", "speed"), "a": ("acceleration", "acceleration"),
     "u": ("input", "input"), "du": ("rate of the input", "input rate"), "t": ("time", "time"),
     "history": ("travel since the last reversal", "angle"), "direction": ("sign of the velocity", "none"),
     "frequency": ("frequency", "frequency"), "tone": ("frequency", "frequency"),
 }  # fmt: skip
+
+
+def shown(unit: str) -> tuple[float, str]:
+    """Return (factor, unit) for an axis in the units people read: degrees and millimetres."""
+    return SHOWN.get(unit, (1.0, unit))
 
 
 def view_name(view: str) -> str:

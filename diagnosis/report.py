@@ -89,7 +89,7 @@ class _Writer:
     def _parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
         known = all_effects()
         meanings = {p.name: p.description for p in known[name].parameters} if name in known else {}
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for k, (key, e) in enumerate(parameters.items()):
             meaning = meanings.get(f"{name}.{key}", "")
             label = f'{escape(key)}<div class="sub">{escape(meaning)}</div>'
