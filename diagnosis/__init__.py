@@ -2,5 +2,6 @@
 
 from bristle.diagnosis.intake import Record, load_records, records_from_arrays
 from bristle.diagnosis.modelfile import Model, load_model
+from bristle.diagnosis.plantfmu import fmu_model
 
-__all__ = ["Model", "Record", "load_model", "load_records", "records_from_arrays"]
+__all__ = ["Model", "Record", "fmu_model", "load_model", "load_records", "records_from_arrays"]

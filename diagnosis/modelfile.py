@@ -248,7 +248,7 @@ def _linear(table: ModelTable, where: Path | str) -> bool:
             f"mm{speed}, or add scale = \"... rad{speed}\" over that unit"  # fmt: skip
         raise mistake(where, "output.unit", out.unit, hint)
     linear = fits[0]
-    if linear is (table.input.kind == "torque") or (not linear and table.input.kind == "force"):
+    if table.input.kind == ("torque" if linear else "force"):
         moved = "moves in metres" if linear else "turns"
         needed = "force" if linear else "torque"
         raise mistake(where, "input.kind", table.input.kind, f'the output {moved}; write "{needed}", or correct output.unit')
