@@ -194,7 +194,7 @@ def telling(traces: Sequence[Trace], seconds: float = SECONDS) -> tuple[Trace, s
     for trace in traces:
         if len(trace.time) < 2:
             continue
-        count = max(2, round(seconds / float(np.median(np.diff(trace.time)))))
+        count = min(max(2, round(seconds / float(np.median(np.diff(trace.time))))), len(trace.time))
         level = _mean_square(trace.before - trace.measured, count)
         inside = level[count // 2 : max(len(level) - count // 2, count // 2 + 1)]
         if not np.isfinite(inside).any():
@@ -236,12 +236,12 @@ def _overlay(diagnosis: Diagnosis, rig: Rig) -> Any:
     return figure
 
 
-def _along(ax: Any, trace: Trace, part: slice, rig: Rig, improved: bool) -> None:
+def _along(ax: Any, trace: Trace, part: slice, rig: Rig, both: bool) -> None:
     """Draw the errors along the whole record, and which part is shown below."""
     factor, unit = shown(rig.output)
     count = max(2, round(SLICE / float(np.median(np.diff(trace.time)))))
     index = thin(len(trace.time), LINES)
-    for values, colour in ((trace.before, BEFORE), (trace.after, AFTER))[: 2 if improved else 1]:
+    for values, colour in ((trace.before, BEFORE), (trace.after, AFTER))[: 2 if both else 1]:
         level = factor * np.sqrt(_mean_square(values - trace.measured, count))
         ax.plot(trace.time[index], level[index], color=colour, linewidth=1.0)
     ax.axvspan(trace.time[part][0], trace.time[part][-1], color=GREY, alpha=0.22, linewidth=0)
@@ -261,7 +261,7 @@ def _shade(ax: Any, time: Array, held_out: NDArray[np.bool_]) -> None:
 # -- residual maps -------------------------------------------------------------------------------------------------------
 
 
-def _maps(views: Sequence[View], rig: Rig, improved: bool) -> Any:
+def _maps(views: Sequence[View], rig: Rig, both: bool) -> Any:
     drawn = [view for view in views if view.centres.size > 1 and view.before.size][:MAPS]
     if not drawn:
         return None
@@ -270,12 +270,12 @@ def _maps(views: Sequence[View], rig: Rig, improved: bool) -> Any:
     figure.subplots_adjust(wspace=0.26)
     _, torque = shown(rig.torque)
     for ax, view in zip(axes, drawn, strict=True):
-        _map(ax, view, rig, improved)
+        _map(ax, view, rig, both)
     set_labels(axes[0], y=f"residual {'force' if rig.linear else 'torque'}, {torque}")
     return figure
 
 
-def _map(ax: Any, view: View, rig: Rig, improved: bool) -> None:
+def _map(ax: Any, view: View, rig: Rig, both: bool) -> None:
     factor, label = rig.axis(view.view)
     if view.label:
         factor, label = 1.0, view.label
@@ -284,14 +284,14 @@ def _map(ax: Any, view: View, rig: Rig, improved: bool) -> None:
     for row, before in enumerate(np.atleast_2d(view.before)):
         style: Any = ("-", (0, (4, 2)))[row % 2]
         name = f" {view.lines[row]}" if many and row < len(view.lines) else ""
-        ax.plot(x, before, color=BEFORE, linestyle=style, label=f"before{name}")
-        if improved and view.after.size:
+        ax.plot(x, before, color=BEFORE, linestyle=style, label=f"{'before' if both else 'residual'}{name}")
+        if both and view.after.size:
             ax.plot(x, np.atleast_2d(view.after)[row], color=AFTER, linestyle=style, label=f"after{name}")
     ax.axhline(0, color=INK, linewidth=0.7)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
     ax.legend(loc="upper left", ncols=2, fontsize=8, handlelength=1.8, columnspacing=1.0, borderaxespad=0.2)
-    share = f"{100 * view.share:.0f} %" + (f" → {100 * view.share_after:.0f} %" if improved else "")
+    share = f"{100 * view.share:.0f} %" + (f" → {100 * view.share_after:.0f} %" if both else "")
     set_title(ax, f"{view_name(view.view)}: {share} of the residual")
     set_labels(ax, x=label)
 

@@ -210,7 +210,7 @@ def _undetected(diagnosis: Diagnosis) -> str:
 def _rounds(diagnosis: Diagnosis) -> str:
     rows = []
     for k, each in enumerate(diagnosis.rounds, start=1):
-        best = max(each.candidates, key=lambda c: c.gain, default=None)
+        best = max((c for c in each.candidates if math.isfinite(c.gain)), key=lambda c: c.gain, default=None)
         rows.append((str(k), _best(best), number(each.null_level, 3), number(each.p, 2), escape(each.decision)))
     return table(("round", "best candidate", "chance level, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
 

@@ -189,7 +189,7 @@ def none() -> Diagnosis:
                 after=0.03 * np.sin(np.arange(60) * 1.1)[None])  # fmt: skip
     return replace(
         named(), verdict="none",
-        statement=("None of the 22 effects explains the difference.", "Something remains: it follows time, not the motion."),
+        statement=("No effect of the 22 explains the difference.", "Something remains: it follows time, not the motion."),
         effects=(), where=(view,), remains=Remains(True, "t", 0.41), gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad2"),
         experiment="Record again with the fan and the neighbouring axis switched off.",
         rounds=(Round(candidates, 9.8, 0.31, None, "stopped: nothing above chance"),),
