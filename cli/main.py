@@ -244,7 +244,7 @@ def diagnose(
     if model is None and fmu is None:
         raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
     _check_effect(choose)
-    from bristle.diagnosis.export import write
+    from bristle.diagnosis.export import IncompleteError, write
     from bristle.model.output import check_writable
 
     check_writable(out)
@@ -256,8 +256,9 @@ def diagnose(
             write(found, out, choose, fmi=int(fmi.value))
         except BristleError as error:
             problem = error
-    if (out / "report.html").exists():
-        _summary(found, out)
+    _summary(found)  # what took so long to find is said even where it cannot be written
+    if problem is None or isinstance(problem, IncompleteError):
+        print(f"{found.verdict}  {out / 'report.html'}", flush=True)
     if problem is not None:
         raise problem
 
@@ -283,8 +284,8 @@ def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell:
     return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell)
 
 
-def _summary(found: Diagnosis, out: Path) -> None:
-    """Print the answer: the sentences, the effects with their parameters, and where the report is."""
+def _summary(found: Diagnosis) -> None:
+    """Print the answer: the sentences, and the effects with their parameters."""
     for line in (*found.statement, *found.proposals):
         print(line)
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]
@@ -295,7 +296,6 @@ def _summary(found: Diagnosis, out: Path) -> None:
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     for row in rows if len(rows) > 1 else ():
         print("  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())
-    print(f"{found.verdict}  {out / 'report.html'}", flush=True)
 
 
 # -- entry -----------------------------------------------------------------------------------------------------------

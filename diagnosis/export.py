@@ -24,6 +24,10 @@ from bristle.plant.servo import COUNTS
 OURS = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu")
 
 
+class IncompleteError(BristleError):
+    """Something could not be made; all the rest was written."""
+
+
 @dataclass(frozen=True)
 class Augmented:
     """A model with what was found: the law, the effects, and the start values [SI] of the servo that they make.
@@ -212,16 +216,17 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
 
     Raises
     ------
+    IncompleteError
+        If `choose` is no member of a tie or an FMU cannot be made; all the rest is written, and the report says why.
     BristleError
-        If the folder cannot be written (it is then as it was), or if `choose` is no member of a tie or an FMU cannot be
-        made (all the rest is then written, and the report says why).
+        If the folder cannot be written; it is then as it was.
     """
     out = Path(out)
     check_writable(out)
     package = _package(diagnosis, choose, fmi)
     written = _replace(out, package.content)
     if package.problems:
-        raise BristleError(f"{package.problems[0]} (all else is in {out})")
+        raise IncompleteError(f"{package.problems[0]} (all else is in {out})")
     return written
 
 

@@ -97,7 +97,7 @@ def test_a_member_of_a_tie_can_be_chosen(answer):
 )
 def test_a_choice_that_cannot_be_is_said_and_the_rest_is_written(answer, tmp_path, monkeypatch, case, choose, words):
     monkeypatch.setattr(export, "_build_plant", lambda *arguments: pytest.fail("nothing may be built"))
-    with pytest.raises(BristleError, match=words) as caught:
+    with pytest.raises(export.IncompleteError, match=words) as caught:
         export.write(answer(case), tmp_path, choose)
     assert "\n" not in str(caught.value)
     assert names(tmp_path) == ["diagnosis.json", "report.html"]
