@@ -1,0 +1,165 @@
+"""What a set of records excites, in numbers, and what it therefore cannot show, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.signal import savgol_filter, welch
+
+from bristle.diagnosis.intake import Record
+from bristle.diagnosis.modelfile import Model
+from bristle.model.table import Array
+
+SMOOTH = 0.02  # s: half-width of the parabola that gives the velocity
+REST = 0.02  # of the rms speed: below it is rest
+SLOW = 0.1  # of the largest speed: below it is slow
+BAND = 0.95  # share of the input's power below its bandwidth
+LINE = 0.8  # share of the power within a narrow band that makes an input one tone
+DWELL = 0.05  # s in one direction between reversals, so that noise does not reverse
+HALF_TURN = float(np.pi)
+
+
+def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
+    """Describe what the records excite.
+
+    Parameters
+    ----------
+    model : Model
+        Says what input and output are.
+    records : sequence of Record
+        As `bristle.diagnosis.intake` gives them.
+
+    Returns
+    -------
+    dict
+        Plain numbers, and ``{"value", "unit"}`` for what has a unit; ``caveats`` is a list of sentences on what such
+        records cannot show.
+    """
+    length = "m" if model.linear else "rad"
+    moved = [_motion(model, r) for r in records]
+    theta, v = [m[0] for m in moved], np.concatenate([m[1] for m in moved])
+    u = np.concatenate([r.u for r in records])
+    top = float(np.quantile(np.abs(v), 0.999))
+    rest = max(REST * float(np.sqrt(np.mean(v**2))), _blind(model, records))
+    still = np.abs(v) < rest
+    reversals = sum(_reversals(m[1], rest, r.h) for m, r in zip(moved, records, strict=True))
+    forward = float(np.mean(v > rest))
+    backward = float(np.mean(v < -rest))
+    spectrum = [_spectrum(r) for r in records]
+    band = max(each[0] for each in spectrum)
+    tone = min(each[1] for each in spectrum)
+    span = max(float(np.ptp(x)) for x in theta)
+    slow = float(np.mean((np.abs(v) < SLOW * top) & ~still))
+    seconds = sum(len(r) * r.h for r in records)
+    numbers: dict[str, Any] = {
+        "records": len(records),
+        "samples": int(sum(len(r) for r in records)),
+        "duration": _with("s", seconds),
+        "sampling_period": _with("s", records[0].h),
+        "input_range": {"lowest": float(np.min(u)), "highest": float(np.max(u)), "unit": model.input_unit},
+        "input_rms": _with(model.input_unit, float(np.sqrt(np.mean(u**2)))),
+        "input_bandwidth": _with("Hz", band),
+        "input_dominant_tone_share": tone,
+        "speed_range": {"lowest": float(np.min(v)), "highest": float(np.max(v)), "unit": f"{length}/s"},
+        "speed_rms": _with(f"{length}/s", float(np.sqrt(np.mean(v**2)))),
+        "range_travelled": _with(length, span),
+        "path_travelled": _with(length, float(sum(np.sum(np.abs(np.diff(x))) for x in theta))),
+        "reversals": reversals,
+        "rest_share": float(np.mean(still)),
+        "slow_share": slow,
+        "forward_share": forward,
+        "backward_share": backward,
+    }
+    if not model.linear:
+        numbers["turns_travelled"] = span / (2 * np.pi)
+    if model.input_kind in ("voltage", "current"):
+        gain = model.parameters["b"]
+        ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
+        numbers["torque_range"] = {"lowest": ends[0], "highest": ends[1], "unit": "N" if model.linear else "N.m"}
+    numbers["caveats"] = _caveats(model, numbers)
+    return numbers
+
+
+def _with(unit: str, value: float) -> dict[str, Any]:
+    return {"value": float(value), "unit": unit}
+
+
+def _motion(model: Model, record: Record) -> tuple[Array, Array]:
+    """Return position and smoothed velocity of a record, each of shape (n,)."""
+    width = min(2 * max(2, round(SMOOTH / record.h)) + 1, 2 * ((len(record) - 1) // 2) - 1)
+    if model.output_kind == "velocity":
+        v = savgol_filter(record.y, width, 2)
+        return np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) * record.h / 2)]), v
+    return record.y, savgol_filter(record.y, width, 2, deriv=1, delta=record.h)
+
+
+def _blind(model: Model, records: Sequence[Record]) -> float:
+    """Return the speed that one step of the output amounts to within the smoothing."""
+    step = max((r.resolution or 0.0 for r in records), default=0.0)
+    return step if model.output_kind == "velocity" else step / (2 * SMOOTH)
+
+
+def _reversals(v: Array, rest: float, h: float) -> int:
+    """Count changes of direction, each with some dwell on either side; rest between does not count."""
+    sense = np.sign(v) * (np.abs(v) > rest)
+    sense = sense[sense != 0]
+    edges = np.flatnonzero(np.diff(sense)) + 1
+    runs = np.diff([0, *edges.tolist(), len(sense)])
+    kept = sense[np.concatenate([[0], edges])][runs * h >= DWELL] if len(sense) else sense
+    return int(np.sum(np.diff(kept) != 0))
+
+
+def _spectrum(record: Record) -> tuple[float, float]:
+    """Return the frequency [Hz] below which most of the input's power lies, and the share of its strongest tone."""
+    u = record.u - np.mean(record.u)
+    if not np.any(u):
+        return 0.0, 0.0
+    window = min(len(u), max(256, round(10.0 / record.h)))
+    f, power = welch(u, fs=1.0 / record.h, nperseg=window, detrend="constant")
+    total = float(np.sum(power))
+    if total <= 0.0:
+        return 0.0, 0.0
+    peak = int(np.argmax(power))
+    return float(f[np.searchsorted(np.cumsum(power), BAND * total)]), float(np.sum(power[max(0, peak - 2) : peak + 3])) / total
+
+
+def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:
+    """Return in words what the numbers mean for what can be told apart."""
+    found = []
+    moving = numbers["forward_share"] + numbers["backward_share"]
+    less = min(numbers["forward_share"], numbers["backward_share"])
+    if less < 0.05 * moving:
+        found.append("nearly always in one direction: friction, bias and gravity's mean cannot be told apart")
+    elif numbers["rest_share"] < 0.02:
+        found.append("hardly ever at rest: bias and asymmetric friction cannot be told apart; add a rest phase")
+    if numbers["rest_share"] > 0.5:
+        found.append(f"at rest for {numbers['rest_share']:.0%} of the time: little is seen of what needs motion")
+    if numbers["reversals"] < 5:
+        found.append(f"only {numbers['reversals']} reversals: presliding, backlash and dead zone hardly show")
+    if numbers["slow_share"] < 0.03:
+        found.append("hardly ever slow: Stribeck friction and cogging hardly show; add a creep")
+    highest, rms = max(abs(numbers["speed_range"][end]) for end in ("lowest", "highest")), numbers["speed_rms"]["value"]
+    if rms > 0.8 * highest:
+        found.append("speed hardly varies: viscous friction, drag and Coulomb friction cannot be told apart")
+    if not model.linear and numbers["range_travelled"]["value"] < HALF_TURN:
+        found.append("less than half a turn: gravity looks like a spring or a bias, an eccentric encoder like a gain")
+    if not model.linear and numbers["range_travelled"]["value"] < 4 * np.pi:
+        found.append("less than two turns: what repeats every turn may be taken for something else")
+    band = numbers["input_bandwidth"]["value"]
+    if band > 0.0:
+        lag = 1.0 / (2 * np.pi * band)
+        unseen = f"{lag / 5:.2g}"
+        if lag / 5 > numbers["sampling_period"]["value"]:
+            found.append(f"input bandwidth {band:.2g} Hz: a delay or an electrical pole below about {unseen} s cannot be seen")
+        if band < 5.0:
+            found.append("input stays below 5 Hz: compliance cannot be seen; add a chirp")
+    if numbers["input_dominant_tone_share"] > LINE:
+        found.append("one dominant frequency: what depends on speed, position and time varies together")
+    ends = numbers["input_range"]
+    if ends["lowest"] >= 0.0 or ends["highest"] <= 0.0:
+        found.append("input of one sign: an unequal gain for the signs cannot be seen")
+    if numbers["duration"]["value"] < 20.0:
+        found.append(f"{numbers['duration']['value']:.3g} s in all: slow drift cannot be seen")
+    return found
