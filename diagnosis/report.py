@@ -15,10 +15,11 @@ from bristle.plant.effects import effects as all_effects
 
 LOOKS = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
 WORDS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
-EXCITATION = {  # key -> how a person says it
-    "speed_max": "largest speed", "speed_range": "speeds", "reversals": "reversals", "rest_share": "share of time at rest",
-    "turns": "turns", "travel": "travel", "input_bandwidth": "bandwidth of the input", "u_bandwidth": "bandwidth of the input",
-    "duration": "duration", "samples": "samples", "step": "sampling period", "segments": "segments",
+EXCITATION = {  # key -> how a person says it; the others read as they are
+    "input_range": "input", "input_dominant_tone_share": "share of its strongest tone", "input_bandwidth": "bandwidth of the input",
+    "speed_range": "speed", "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
+    "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",
+    "backward_share": "time backward", "torque_range": "torque of the drive",
 }  # fmt: skip
 
 
@@ -181,24 +182,22 @@ def _views(diagnosis: Diagnosis) -> str:
 
 
 def _value(value: Any) -> str:
-    """Write what an excitation table holds: a number, text, a number with its unit, a range."""
-    if isinstance(value, Mapping) and "value" in value:
-        text = _value(value["value"])
-        return f"{text} {unit(str(value['unit']))}" if value.get("unit") else text
+    """Write what an excitation table holds: a number, text, a number or a range with its unit."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{escape(str(k))} {_value(v)}" for k, v in value.items())
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, (list, tuple)):
-        return " … ".join(map(_value, value)) if len(value) == 2 else ", ".join(map(_value, value))
-    return number(value, 3) if isinstance(value, (int, float)) else "–" if value is None else escape(str(value))
+        ends = [value[key] for key in ("value", "lowest", "highest") if key in value]
+        return f"{' … '.join(map(_value, ends))} {unit(str(value.get('unit', '1')))}".strip()
+    return number(value, 3) if isinstance(value, (int, float)) else escape(str(value))
+
+
+def _fact(key: str, value: Any) -> tuple[str, str]:
+    """Return a line of the excitation table; shares are written in per cent."""
+    share = key.endswith("_share") and isinstance(value, float)
+    return escape(EXCITATION.get(key, key.replace("_", " "))), f"{100 * value:.0f} %" if share else _value(value)
 
 
 def _excitation(diagnosis: Diagnosis) -> str:
-    facts = {key: value for key, value in diagnosis.excitation.items() if key != "caveats"}
-    rows = [(escape(EXCITATION.get(key, key.replace("_", " "))), _value(value)) for key, value in facts.items()]
-    caveats = diagnosis.excitation.get("caveats") or ()
-    said = _items([caveats] if isinstance(caveats, str) else caveats)
+    rows = [_fact(key, value) for key, value in diagnosis.excitation.items() if key != "caveats"]
+    said = _items(diagnosis.excitation.get("caveats", ()))
     return (table(("of the records", ""), rows) if rows else "") + said
 
 

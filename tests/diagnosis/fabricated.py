@@ -114,8 +114,10 @@ UNDETECTED = {
     "back_emf": "cannot be seen: with a torque input it equals viscous friction",
 }  # fmt: skip
 EXCITATION: dict[str, Any] = {
-    "duration": {"value": 24.0, "unit": "s"}, "speed_max": {"value": 6.1, "unit": "rad/s"}, "reversals": 58,
-    "rest_share": 0.04, "turns": 0.63, "input_bandwidth": {"value": 9.2, "unit": "Hz"},
+    "records": 2, "samples": 12000, "duration": {"value": 24.0, "unit": "s"}, "sampling_period": {"value": STEP, "unit": "s"},
+    "input_range": {"lowest": -0.5, "highest": 0.5, "unit": "N.m"}, "input_bandwidth": {"value": 9.2, "unit": "Hz"},
+    "speed_range": {"lowest": -6.1, "highest": 5.9, "unit": "rad/s"}, "range_travelled": {"value": 4.0, "unit": "rad"},
+    "reversals": 58, "rest_share": 0.04, "forward_share": 0.47, "backward_share": 0.49, "turns_travelled": 0.63,
     "caveats": [
         "Less than one turn: what repeats once in a turn is hardly seen.", "Little rest: bias and asymmetric friction look alike.",
     ],
@@ -212,7 +214,8 @@ def not_identifiable() -> Diagnosis:
         },
         parameters={}, rounds=(), undetected={},
         excitation={
-            "travel": {"value": 0.003, "unit": "m"}, "reversals": 2, "speed_range": {"value": [0.010, 0.011], "unit": "m/s"},
+            "range_travelled": {"value": 0.003, "unit": "m"}, "reversals": 2,
+            "speed_range": {"lowest": 0.010, "highest": 0.011, "unit": "m/s"},
             "caveats": ["Two reversals only."],
         },
         findings=(), traces=(scaled,), model=linear_model(), seconds=4.0,

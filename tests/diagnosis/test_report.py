@@ -81,6 +81,14 @@ def test_a_named_effect_comes_with_its_parameters_and_the_shrink(answer):
     assert "coulomb.Fc N·m 0.1 0.1270 ± 0.0038 0.12000 ± 0.00084" in text
 
 
+def test_excitation_is_a_table_in_words_with_its_caveats(answer):
+    text = text_of(page_of(answer("named")))
+    assert "time at rest 4 %" in text
+    assert "speed −6.1 … 5.9 rad/s" in text
+    assert "sampling period 0.002 s" in text
+    assert "Less than one turn" in text
+
+
 def test_a_parameter_at_its_bound_is_flagged(answer):
     assert "at its bound" not in page_of(answer("named"))
     assert "6 at its bound" in text_of(page_of(answer("not_identifiable")))
