@@ -151,7 +151,8 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
     if gap.shrink is not None and improved(diagnosis):
         facts.append(f"The gap shrank by <b>{100 * gap.shrink:.1f} %</b>.")
     if gap.ratio is not None:
-        facts.append(f"Before, the mean squared error was {number(gap.ratio, 3)} times the noise floor.")
+        begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
+        facts.append(f"{begin} {number(gap.ratio, 3)} times the noise floor.")
     else:
         facts.append("The noise floor could not be estimated, so the share of the gap that closed is not known.")
     return f"<p>{' '.join(facts)}</p>"
