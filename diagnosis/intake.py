@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import Akima1DInterpolator
 
 from bristle.diagnosis.modelfile import Model
 from bristle.model.errors import BristleError
@@ -24,9 +24,10 @@ SAME_RATE = 1e-3  # sampling periods that differ less are one: the inertia is th
 REPEATED = 0.02  # largest share of repeated time stamps that are left out
 EPOCH = 1e6  # s: a time that starts above counts from 1970, not from the start
 SATURATED = 0.01  # a share of samples at an extreme value above this is a limit
+LIMITED = 10  # samples, at least
 CREST = 4.0  # and many times as long as on the values next to it
 LEVELS = 20  # an input of fewer values is switched, not limited
-STILL = 3.0  # steps of the resolution: less is no motion
+STILL = 3.001  # steps of the resolution: less is no motion
 SPIKE = 8.0  # a spike steps this many times farther than its neighbours
 STUCK = 0.2  # s: an output that stands still so long while the input sweeps most of its range is worth a line
 
@@ -121,7 +122,10 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     """
     records: list[Record] = []
     origin: float | None = None
-    for name, *given in arrays:
+    for entry in arrays:
+        if len(entry) != 4:
+            raise BristleError(f"a record has {len(entry)} entries; give (name, time, u, y)")
+        name, *given = entry
         time, u, y = (_vector(name, key, values) for key, values in zip(("time", "input", "output"), given, strict=True))
         if not len(time) == len(u) == len(y):
             sizes = f"time {len(time)}, input {len(u)}, output {len(y)} samples"
@@ -222,7 +226,7 @@ def _pieces(model: Model, raw: _Raw) -> list[Record]:
     h = _period(raw)
     resolution = _resolution(model, raw)
     _spikes(raw, resolution)
-    wrapped = model.output_kind == "position" and _unwrap(model, raw)
+    wrapped = model.output_kind == "position" and _unwrap(model, raw, resolution)
     _frozen(raw, resolution)
     _limits(raw)
     _motion(model, raw, raw.y, resolution or model.resolution)
@@ -242,7 +246,7 @@ def _pieces(model: Model, raw: _Raw) -> list[Record]:
     if len(runs) > 1:
         worst = int(np.argmax(np.diff(raw.time)))
         seen = f"largest {raw.time[worst + 1] - raw.time[worst]:.3g} s after {raw.time[worst]:.6g} s"
-        raw.say(f"{len(runs) - 1} gaps in time ({seen}); cut there into {len(runs)} pieces")
+        raw.say(f"gaps in time: {len(runs) - 1} ({seen}); cut there into {len(runs)} pieces")
     for name, why in dropped:
         raw.say(f"piece {name} left out: {why}")
     if not records:
@@ -296,7 +300,7 @@ def _clock(raw: _Raw) -> tuple[Array, float, bool]:
     digit = _common_step(raw.time)
     slope, start = np.polyfit(np.arange(n), raw.time - raw.time[0], 1)
     line = raw.time[0] + start + slope * np.arange(n)
-    if digit is not None and digit < 2 * h and np.max(np.abs(raw.time - line)) <= 0.75 * digit:
+    if digit is not None and digit < 0.7 * h and np.max(np.abs(raw.time - line)) <= 0.75 * digit:
         raw.say(f"time is written in steps of {digit:.4g} s; taken as uniform, {slope:.6g} s a sample")
         return line, float(slope), False
     ordinary = float(np.median(steps))
@@ -307,7 +311,8 @@ def _clock(raw: _Raw) -> tuple[Array, float, bool]:
             f"sampling intervals scatter by {rms:.0%} rms about {ordinary:g} s, allowed {JITTER:.0%}; sample with a steady clock"
         )
     if missing.any():
-        raw.say(f"{int(missing.sum())} places lack one or two samples (first after {raw.time[np.argmax(missing)]:.6g} s); bridged")
+        where = f"{int(missing.sum())} places (first after {raw.time[np.argmax(missing)]:.6g} s)"
+        raw.say(f"one or two samples are missing at {where}; bridged")
     raw.say(f"sampling intervals scatter by {rms:.1%} rms about {ordinary:.4g} s; interpolated to uniform ones")
     return raw.time, ordinary, True
 
@@ -319,7 +324,7 @@ def _resample(time: Array, u: Array, y: Array, h: float) -> tuple[Array, Array, 
     held = np.concatenate([[0.0], np.cumsum(u[:-1] * np.diff(time))])
     last = time[-1] + h  # the last sample is held as well
     area = np.interp([*grid, grid[-1] + h], [*time, last], [*held, held[-1] + u[-1] * h])
-    return grid, np.diff(area) / h, np.asarray(PchipInterpolator(time, y)(np.minimum(grid, time[-1])))
+    return grid, np.diff(area) / h, np.asarray(Akima1DInterpolator(time, y, method="makima")(np.minimum(grid, time[-1])))
 
 
 def _one_rate(records: list[Record]) -> list[Record]:
@@ -344,22 +349,32 @@ def _one_rate(records: list[Record]) -> list[Record]:
 
 
 def _common_step(values: Array) -> float | None:
-    """Return the step whose multiples all values are (from the first on), None if there is none."""
-    distinct = np.unique(values) - np.min(values)
+    """Return the step whose multiples nearly all values are (from the smallest on), None if there is none."""
+    distinct = np.unique(values)
+    distinct = distinct - distinct[0]
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-12 * max(1.0, float(np.max(np.abs(values))))]
     if len(gaps) < 2:
         return None
-    step, reach = float(np.min(gaps)), 8.0
-    # small multiples fix the step roughly, larger ones ever better; what is no multiple shows at once
-    while True:
+    # most neighbours are one step apart, but a spike lies anywhere, and some steps come in twos and threes only
+    for start in dict.fromkeys((float(np.min(gaps)), float(np.median(gaps)))):
+        for divisor in (1.0, 2.0, 3.0):
+            step = _refined(start / divisor, gaps, distinct)
+            if step is not None:
+                return step
+    return None
+
+
+def _refined(step: float, gaps: Array, distinct: Array) -> float | None:
+    """Return the step that fits gaps and values best, None if more than one in a hundred is no multiple of it."""
+    reach = 8.0
+    while True:  # small multiples fix the step roughly, larger ones ever better
         near = np.concatenate([gaps[gaps < reach * step], distinct[distinct < reach * step]])
         count = np.round(near / step)
-        if not count.any():
+        good = np.abs(near / step - count) < 0.1
+        if not (count * good).any() or np.mean(~good) > 0.01:
             return None
-        step = float(count @ near / (count @ count))
-        if np.mean(np.abs(near / step - count) > 0.1) > 0.01:
-            return None
+        step = float(count[good] @ near[good] / (count[good] @ count[good]))
         if reach * step > distinct[-1]:
             return step
         reach *= 4.0
@@ -415,11 +430,11 @@ def _spikes(raw: _Raw, resolution: float | None) -> None:
         k = mended[0]
         worst = max(float(size[i - 1]) for i in mended)
         where = f"first at sample {k}, {raw.time[k]:.6g} s; up to {worst:.3g}"
-        raw.say(f"{len(mended)} spikes in the output ({where}); interpolated over")
+        raw.say(f"output jumps away and back at {len(mended)} places ({where}); interpolated over")
         raw.y = y
 
 
-def _unwrap(model: Model, raw: _Raw) -> bool:
+def _unwrap(model: Model, raw: _Raw, resolution: float | None) -> bool:
     """Unwrap a position that jumps by one and the same amount and never leaves a range of that size."""
     d = np.diff(raw.y)
     span = float(np.ptp(raw.y))
@@ -429,13 +444,14 @@ def _unwrap(model: Model, raw: _Raw) -> bool:
     rest = np.abs(np.delete(d, jumps))
     if np.max(rest, initial=0.0) > 0.25 * span:
         return False
-    before = np.maximum(jumps - 1, 0)
-    slope = np.where(np.isin(before, jumps) | (before == jumps), 0.0, d[before])
-    sizes = np.abs(d[jumps] - slope)
-    turn = float(np.median(sizes))
+    sizes = np.abs(d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)]))
     full = 2.0 * np.pi
-    if not model.linear and abs(turn - full) < 0.05 * full:
-        turn = full
+    turn = float(np.median(sizes))
+    likely = [known for known in ((full, 360.0, 1.0) if not model.linear else ()) if abs(turn - known) < 0.02 * known]
+    if likely:
+        turn = likely[0]
+    elif resolution:
+        turn = resolution * round(turn / resolution)
     if span > 1.02 * turn or np.max(np.abs(sizes - turn)) > 0.1 * turn:
         return False
     if len(jumps) < 2 and (model.linear or turn != full):
@@ -476,7 +492,7 @@ def _frozen(raw: _Raw, resolution: float | None) -> None:
     ):
         if runs_found:
             start, end = runs_found[0]
-            where = f"{len(runs_found)} times, first from {raw.time[start]:.6g} to {raw.time[end]:.6g} s"
+            where = f"{len(runs_found)} such parts, the first from {raw.time[start]:.6g} to {raw.time[end]:.6g} s"
             raw.say(f"{what} ({where})")
 
 
@@ -490,6 +506,6 @@ def _limits(raw: _Raw) -> None:
         ("smallest", values[0], counts[0], np.max(counts[1:4])),
     ):
         # the crest of a signal in steps also dwells on its last value, but not so much longer than on those before
-        if count > SATURATED * len(raw.u) and count > CREST * beside and value != 0.0:
+        if count > max(SATURATED * len(raw.u), LIMITED) and count > CREST * beside and value != 0.0:
             line = f"input is at its {which} value {value:.6g} for {count / len(raw.u):.1%} of the time"
             raw.say(f"{line}: a limit; what is logged must be behind it")

@@ -1,16 +1,99 @@
-"""What the tests of a diagnosis share: made-up answers, one of each verdict."""
+"""Shared by the tests of the diagnosis: a model, a simulated record, made-up answers, and what checks a line of an error."""
 
 from __future__ import annotations
 
 import importlib.util
 import sys
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+from bristle.diagnosis import Model
 from bristle.diagnosis.result import Diagnosis
+from bristle.model.errors import BristleError
+from bristle.model.native import Native
+from bristle.model.program import Program
+from bristle.plant.effects import effect, effects
+from bristle.plant.friction import law
+from bristle.plant.servo import servo
+
+H = 1e-3
+STEP = 2 * np.pi / 16384
+TREE: dict[str, Any] = {
+    "friction": "coulomb",
+    "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
+    "bounds": {"J": [0.002, 0.05], "a2": [0.0, 0.2], "Fc": [0.0, 0.6]},
+    "time": {"column": "t", "unit": "s"},
+    "input": {"column": "u", "kind": "torque", "unit": "N.m"},
+    "output": {"column": "theta", "kind": "position", "unit": "rad"},
+}
+STRONG = {  # effects, each as strong as the friction or so
+    "bias": {"torque": 0.05}, "asymmetric_coulomb": {"share": 0.4}, "quadratic_drag": {"coefficient": 0.002},
+    "stribeck": {"excess": 1.0}, "presliding": {"stiffness": 8.0}, "bristle_damping": {"stiffness": 8.0, "damping": 0.05},
+    "cogging": {"amplitude": 0.08}, "gravity": {"amplitude": 0.3}, "dead_zone": {"width": 0.08},
+    "saturation": {"limit": 0.3}, "gain_asymmetry": {"share": 0.2}, "input_delay": {"delay": 0.01},
+    "electrical_pole": {"time_constant": 0.01}, "backlash": {"stiffness": 50.0, "play": 0.03},
+    "compliance": {"stiffness": 40.0}, "load_friction": {"coefficient": 0.2}, "hard_stop": {"upper": 0.3, "stiffness": 3.0},
+    "friction_drift": {"rate": 0.05}, "disturbance_step": {"torque": 0.1}, "eccentric_encoder": {}, "position_friction": {},
+    "back_emf": {"constant": 0.03},
+}  # fmt: skip
+
+
+@pytest.fixture
+def tree() -> dict[str, Any]:
+    """The content of a model file, to be changed."""
+    return deepcopy(TREE)
+
+
+@pytest.fixture
+def model() -> Model:
+    """A servo driven by a torque, with its position measured."""
+    return Model.from_dict(TREE)
+
+
+@pytest.fixture
+def message() -> Callable[[Callable[[], Any]], str]:
+    """Return what calls something that must fail, and checks that the message is one line."""
+
+    def call(what: Callable[[], Any]) -> str:
+        with pytest.raises(BristleError) as caught:
+            what()
+        text = str(caught.value)
+        assert "\n" not in text
+        return text
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Return what simulates 12 s of a servo with an effect: time, torque, position in counts, velocity."""
+    systems = [servo(law("coulomb"), True, [effect(name)]) for name in effects()]
+    for system, name in zip(systems, effects(), strict=True):
+        system.name = name
+    program = Program("Every_diagnosed", systems, "case")
+
+    def run(name: str = "bias", seed: int = 1, **given: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        values = {"torque": 0.0} if given.get("plain") else STRONG[name]
+        setting = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "u_max": 1e6}
+        native = Native(program, setting | {f"{name}.{key}": value for key, value in values.items()}, name)
+        rng = np.random.default_rng(seed)
+        t = np.arange(12000) * H
+        f = np.array([0.15, 0.37, 0.61, 0.93, 1.7, 2.9, 4.3, 7.1, 11.0])
+        size = 0.12 * np.array([1.0, 1.5, 1.5, 1.5, 1.5, 1.2, 1.0, 0.7, 0.5])
+        u = np.sum(size[:, None] * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 2 * np.pi, len(f))[:, None]), axis=0)
+        pole = np.exp(-2 * np.pi * 10 * H)
+        noise = lfilter([1 - pole], [1, -pole], rng.standard_normal(len(t)))
+        out, _ = native.run(H, {"u": u, "tau_load": 0.03 * 0.12 * noise / np.std(noise)}, ["theta", "v"])
+        return t, u, np.floor(out[:-1, 0] / STEP) * STEP, out[:-1, 1]
+
+    return run
 
 
 def _load(name: str) -> ModuleType:

@@ -1,0 +1,114 @@
+"""Excitation: the numbers are those of a known motion, and a caveat appears when, and only when, it applies."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis.excitation import excitation
+
+H = 1e-3
+
+
+def described(model, t, u, y):
+    return excitation(model, records_from_arrays(model, [("run", t, u, y)]))
+
+
+def swing(seconds=40.0, hertz=0.5, size=1.0):
+    t = np.arange(round(seconds / H)) * H
+    return t, np.cos(2 * np.pi * hertz * t), size * np.sin(2 * np.pi * hertz * t)
+
+
+def has(found, words):
+    return any(words in line for line in found["caveats"])
+
+
+def test_numbers_of_a_sine(model):
+    found = described(model, *swing())
+    top = 2 * np.pi * 0.5
+    assert found["speed_range"]["highest"] == pytest.approx(top, rel=0.01)
+    assert found["speed_range"]["lowest"] == pytest.approx(-top, rel=0.01)
+    assert found["speed_rms"] == {"value": pytest.approx(top / np.sqrt(2), rel=0.01), "unit": "rad/s"}
+    assert found["range_travelled"] == {"value": pytest.approx(2.0, rel=0.01), "unit": "rad"}
+    assert found["path_travelled"]["value"] == pytest.approx(80.0, rel=0.01)
+    assert found["turns_travelled"] == pytest.approx(1 / np.pi, rel=0.01)
+    assert found["reversals"] == 40
+    assert found["forward_share"] == pytest.approx(0.5, abs=0.02)
+    assert found["rest_share"] < 0.02
+    assert found["input_bandwidth"]["value"] == pytest.approx(0.5, abs=0.25)
+    assert found["samples"] == 40000
+    assert found["duration"]["value"] == pytest.approx(40.0)
+    json.dumps(found, allow_nan=False)
+
+
+def test_caveats_of_a_sine(model):
+    found = described(model, *swing())
+    for words in ("hardly ever at rest", "less than half a turn", "one dominant frequency", "below 5 Hz", "input bandwidth"):
+        assert has(found, words), words
+    for words in ("one direction", "one sign", "reversals", "speed hardly varies", "slow drift"):
+        assert not has(found, words), words
+
+
+def test_a_rich_record_has_few_caveats(model):
+    rng = np.random.default_rng(1)
+    t = np.arange(60000) * H
+    y = np.where(t % 20 < 15, 8 * np.sin(0.7 * t) + 3 * np.sin(2.9 * t), 0.0)
+    y = np.cumsum(np.where(t % 20 < 15, 8 * np.sin(0.7 * t) + 3 * np.sin(2.9 * t), 0.0)) * H
+    u = np.repeat(rng.standard_normal(6000), 10)
+    found = described(model, t, u, y)
+    assert found["rest_share"] == pytest.approx(0.25, abs=0.03)
+    assert found["caveats"] == [line for line in found["caveats"] if "input bandwidth" in line]
+
+
+@pytest.mark.parametrize(
+    ("y", "u", "words"),
+    [
+        (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "one direction"),
+        (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "speed hardly varies"),
+        (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "only 0 reversals"),
+        (lambda t: 3 * t + 0.1 * np.sin(t), lambda t: 1 + 0.5 * np.sin(20 * t), "input of one sign"),
+        (lambda t: np.where(t < 30, 0.0, np.sin(t - 30)), lambda t: np.sin(t), "at rest for"),
+        (lambda t: 0.5 * np.abs((t % 2) - 1), lambda t: np.sign((t % 2) - 1) + 0.01 * np.sin(t), "hardly ever slow"),
+    ],
+)
+def test_each_caveat_when_it_applies(y, u, words, model):
+    t = np.arange(40000) * H
+    assert has(described(model, t, u(t), y(t)), words)
+    assert not has(described(model, *swing(size=4.0)), words)
+
+
+def test_a_short_record_sees_no_drift(model):
+    assert has(described(model, *swing(10.0)), "slow drift")
+
+
+def test_counts_are_no_motion(model):
+    """A resting encoder that flickers between two counts does not reverse."""
+    t, u, y = swing()
+    step = 2 * np.pi / 4096
+    rest = np.where(t > 20, step * (np.random.default_rng(1).random(len(t)) < 0.5), np.floor(y / step) * step)
+    found = described(model, t, u, rest)
+    assert found["reversals"] == pytest.approx(20, abs=1)
+    assert found["rest_share"] == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_drive_has_a_torque_range_and_an_axis_no_turns(tree):
+    tree["parameters"] = {"J": 95.0, "a2": 200.0, "Fc": 20.0, "b": 35.0}
+    tree.pop("bounds")
+    tree["input"] = {"column": "u", "kind": "voltage", "unit": "V"}
+    tree["output"]["unit"] = "m"
+    found = described(Model.from_dict(tree), *swing())
+    assert found["torque_range"] == {"lowest": pytest.approx(-35.0), "highest": pytest.approx(35.0), "unit": "N"}
+    assert found["range_travelled"]["unit"] == "m"
+    assert "turns_travelled" not in found
+    assert not has(found, "turn")
+
+
+def test_a_velocity_gives_the_same(tree, model):
+    t, u, y = swing()
+    tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
+    one = described(model, t, u, y)
+    two = described(Model.from_dict(tree), t, u, np.gradient(y, H))
+    for key in ("reversals", "forward_share", "rest_share"):
+        assert two[key] == pytest.approx(one[key], abs=0.01)
+    assert two["range_travelled"]["value"] == pytest.approx(one["range_travelled"]["value"], rel=1e-3)

@@ -1,0 +1,340 @@
+"""Intake: what is wrong with a record is mended and reported, or refused in one line."""
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis import Model, Record, load_records, records_from_arrays
+
+H = 1e-3
+N = 6000
+STEP = 2 * np.pi / 4096
+
+
+def motion(n=N, h=H, seed=0):
+    """A smooth motion over two turns, and a torque."""
+    t = np.arange(n) * h
+    y = 6.0 * np.sin(1.3 * t + seed) + 0.8 * np.sin(5.1 * t)
+    u = 0.3 * np.sin(2.1 * t) + 0.2 * np.sin(7.3 * t + 1)
+    return t, u, y
+
+
+def counts(y, step=STEP):
+    return np.floor(y / step) * step
+
+
+def one(model, t, u, y):
+    [record] = records_from_arrays(model, [("run", t, u, y)])
+    return record
+
+
+def only(record, *words):
+    """The record has one finding, with these words, and it names the record."""
+    [line] = record.findings
+    assert line.startswith("record run")
+    assert "\n" not in line
+    for word in words:
+        assert word in line, line
+
+
+# -- what is right stays as it is ----------------------------------------------------------------------------------------
+
+
+def test_a_good_record_is_not_touched(model):
+    t, u, y = motion()
+    record = one(model, t + 17.0, u, counts(y))
+    assert isinstance(record, Record)
+    assert record.findings == ()
+    assert record.name == "run"
+    assert record.h == pytest.approx(H, rel=1e-12)
+    np.testing.assert_allclose(record.time, t + 17.0, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(record.u, u)
+    np.testing.assert_array_equal(record.y, counts(y))
+    assert record.resolution == pytest.approx(STEP, rel=1e-6)
+    assert not record.wrapped
+    assert not record.resampled
+    assert len(record) == N
+
+
+def test_files_in_their_own_units(tree, tmp_path):
+    t, u, y = motion()
+    tree["time"]["unit"] = "ms"
+    tree["input"] |= {"unit": "mN.m", "scale": "-1"}
+    tree["output"] |= {"unit": "1", "scale": "0.087890625 deg", "resolution": 1}
+    model = Model.from_dict(tree)
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        table = np.column_stack([t * 1e3, -u * 1e3, np.floor(y / STEP)])
+        np.savetxt(tmp_path / folder / "run.csv", table, delimiter=",", header="t,u,theta", comments="", fmt="%.12g")
+    records = load_records(model, [tmp_path / "one" / "run.csv", tmp_path / "two" / "run.csv"])
+    assert [r.name for r in records] == ["run#1", "run#2"]
+    for record in records:
+        assert record.findings == ()
+        assert record.h == pytest.approx(H)
+        np.testing.assert_allclose(record.u, u, atol=1e-9)
+        np.testing.assert_allclose(record.y, counts(y), atol=1e-9)
+        assert record.resolution == pytest.approx(model.resolution, rel=1e-6)
+
+
+def test_a_velocity_is_neither_unwrapped_nor_mistaken(tree):
+    tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
+    t, u, _ = motion()
+    v = np.where(np.arange(N) // 1500 % 2 == 0, 3.0, -3.2831853) + 0.001 * np.sin(t)
+    record = one(Model.from_dict(tree), t, u, v)
+    np.testing.assert_array_equal(record.y, v)
+
+
+# -- time ------------------------------------------------------------------------------------------------------------------
+
+
+def test_jitter_is_interpolated_away(model):
+    rng = np.random.default_rng(1)
+    n, h = 1200, 5.4e-3
+    t = np.cumsum(h * (1 + 0.05 * rng.standard_normal(n)))
+    y, u = np.sin(3 * t), 0.3 * np.sin(2 * t)
+    record = one(model, t, u, y)
+    only(record, "scatter by 5.", "rms", "interpolated")
+    assert record.resampled
+    np.testing.assert_allclose(np.diff(record.time), record.h, rtol=1e-9)
+    np.testing.assert_allclose(record.y, np.sin(3 * record.time), atol=2e-4)
+    middle = record.time + record.h / 2  # the input is held: u[k] stands for what lay in the interval after it
+    held = 0.3 * np.sin(2 * (middle - h / 2))
+    np.testing.assert_allclose(record.u[5:-5], held[5:-5], atol=3e-3)
+
+
+def test_a_rounded_clock_is_no_jitter(model):
+    t, u, y = motion(n=2400, h=2.5e-3)
+    record = one(model, np.round(t + 1e-6, 3), u, y)
+    only(record, "steps of 0.001 s", "0.0025 s a sample")
+    assert record.h == pytest.approx(2.5e-3, rel=1e-5)
+    np.testing.assert_array_equal(record.y, y)
+
+
+def test_a_missing_sample_is_bridged(model):
+    t, u, y = motion()
+    keep = np.ones(N, dtype=bool)
+    keep[[1000, 3000]] = False
+    record = one(model, t[keep], u[keep], y[keep])
+    assert len(record) == N
+    assert "missing at 2 places (first after 0.999 s)" in record.findings[0]
+    np.testing.assert_allclose(record.y, y, atol=1e-4)
+
+
+def test_a_gap_cuts_the_record(model):
+    t, u, y = motion(n=9000)
+    keep = np.ones(9000, dtype=bool)
+    keep[4000:4100] = False
+    keep[8000:8050] = False
+    first, second = records_from_arrays(model, [("run", t[keep], u[keep], y[keep])])
+    assert (first.name, second.name) == ("run[1]", "run[2]")
+    assert len(first) == 4000
+    assert second.time[0] == pytest.approx(4.1)
+    assert any("gaps in time: 2" in line and "0.101 s after 3.999 s" in line for line in first.findings)
+    assert any("run[3] left out: only 0.949 s" in line for line in first.findings)
+    np.testing.assert_array_equal(second.y, y[4100:8000])
+
+
+def test_gaps_that_leave_nothing(model, message):
+    t, u, y = motion()
+    t = t + 0.05 * (np.arange(N) // 1500)
+    text = message(lambda: one(model, t, u, y))
+    assert "no piece between gaps lasts 2 s" in text
+    assert text.startswith("record run: ")
+
+
+def test_repeated_time_stamps(model, message):
+    t, u, y = motion()
+    twice = np.insert(np.arange(N), 2000, 2000)
+    record = one(model, t[twice], u[twice], y[twice])
+    only(record, "1 time stamps repeat", "sample 2001")
+    np.testing.assert_array_equal(record.y, y)
+    text = message(lambda: one(model, np.round(t, 2), u, y))
+    assert "of 6000 time stamps repeat" in text
+    assert "more digits" in text
+
+
+def test_time_of_the_day_is_counted_from_the_first_record(model):
+    t, u, y = motion()
+    start = 1.7e9
+    records = records_from_arrays(model, [("a", t + start, u, y), ("b", t + start + 60, u, y)])
+    assert records[0].time[0] == 0.0
+    assert records[1].time[0] == pytest.approx(60.0)
+    assert "counted from the first record" in records[0].findings[0]
+    later = records_from_arrays(model, [("a", t, u, y), ("b", t + 60, u, y)])
+    assert later[1].time[0] == pytest.approx(60.0)
+    assert later[1].findings == ()
+
+
+def test_records_of_different_rates_get_the_coarser(model):
+    t, u, y = motion()
+    slow = motion(n=1500, h=4e-3)
+    fast, other = records_from_arrays(model, [("fast", t, u, y), ("slow", *slow)])
+    assert fast.h == other.h == pytest.approx(4e-3)
+    assert "sampled every 0.001 s, another record every 0.004 s" in fast.findings[0]
+    assert other.findings == ()
+    np.testing.assert_array_equal(other.y, slow[2])
+    np.testing.assert_allclose(fast.y, slow[2][: len(fast)], atol=1e-6)
+    np.testing.assert_allclose(fast.u[:-1], u.reshape(-1, 4).mean(axis=1)[: len(fast) - 1], atol=1e-12)
+
+
+def test_nearly_the_same_rate_is_the_same(model):
+    t, u, y = motion()
+    one_, two = records_from_arrays(model, [("a", t, u, y), ("b", t * 1.0002, u, y)])
+    assert one_.h == two.h
+    assert not two.resampled
+    assert one_.findings == two.findings == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t, u, y: (t[:150], u[:150], y[:150]), ["150 samples", "at least 200"]),
+        (lambda t, u, y: (t[:900], u[:900], y[:900]), ["lasts 0.899 s", "at least 2 s", "[time] unit"]),
+        (lambda t, u, y: (t * 1000, u, y), ["sampled every 1 s", "[time] unit", "ms"]),
+        (lambda t, u, y: (t / 1000, u, y), ["sampled every 1e-06 s", "[time] unit"]),
+        (lambda t, u, y: (t[::-1], u, y), ["falls back at sample 1", "sort"]),
+        (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["falls back at sample 3001", "two runs"]),
+        (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
+        (lambda t, u, y: (t + 0.8 * H * (np.arange(N) % 2), u, y), ["scatter by 63%", "steady clock"]),
+        (lambda t, u, y: (np.where(np.arange(N) == 70, np.nan, t), u, y), ["time is not finite at sample 70"]),
+        (lambda t, u, y: (t, np.where(np.arange(N) == 71, np.inf, u), y), ["input is not finite at sample 71"]),
+        (lambda t, u, y: (t, u, np.where(np.arange(N) % 100 == 72, np.nan, y)), ["output is not finite at sample 72 (60 such"]),
+        (lambda t, u, y: (t, u, y * np.nan), ["no sample is finite"]),
+        (lambda t, u, y: (t, 0 * u + 0.2, y), ["input is constant (0.2 N.m)", "[input] column"]),
+        (lambda t, u, y: (t, u, 0 * y + 3.0), ["nothing moves", "[output] column"]),
+        (lambda t, u, y: (t, u, counts(1e-3 * y, 5e-3)), ["nothing moves", "resolution"]),
+        (lambda t, u, y: (t, u[:-1], y), ["different length", "input 5999"]),
+        (lambda t, u, y: (t, u, np.column_stack([y, y])), ["output has shape (6000, 2)"]),
+        (lambda t, u, y: (t, u, ["fast"] * N), ["output is not an array of numbers"]),
+    ],
+)
+def test_what_cannot_be_mended_is_refused_in_one_line(change, words, model, message):
+    data = change(*motion())
+    if words is None:  # jitter that is moderate
+        assert one(model, *data).resampled
+        return
+    text = message(lambda: one(model, *data))
+    assert text.startswith("record run: ")
+    for word in words:
+        assert word in text, text
+
+
+def test_no_record_and_wrong_entries(model, message, tmp_path):
+    assert "no record" in message(lambda: load_records(model, []))
+    assert "no record" in message(lambda: records_from_arrays(model, []))
+    assert "give (name, time, u, y)" in message(lambda: records_from_arrays(model, [("a", [0.0], [0.0])]))
+    np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,torque,theta", comments="")
+    text = message(lambda: load_records(model, [tmp_path / "r.csv"]))
+    assert "r.csv: input: no column 'u'" in text
+    assert "t, torque, theta" in text
+
+
+# -- samples ---------------------------------------------------------------------------------------------------------------
+
+
+def test_holes_at_the_ends_are_cut_off(model):
+    t, u, y = motion()
+    y = np.where((np.arange(N) < 3) | (np.arange(N) >= N - 5), np.nan, y)
+    record = one(model, t, u, y)
+    only(record, "3 samples at the start and 5 at the end")
+    assert len(record) == N - 8
+    assert record.time[0] == pytest.approx(3 * H)
+
+
+def test_a_coasting_record_beside_a_driven_one(model):
+    t, u, y = motion()
+    driven, coasting = records_from_arrays(model, [("a", t, u, y), ("b", t, 0 * u, y)])
+    assert driven.findings == ()
+    assert "record b: input is constant (0 N.m)" in coasting.findings[0]
+
+
+@pytest.mark.parametrize("offset", [0.0, -np.pi, 100.0])
+def test_a_wrapped_position_is_unwrapped(offset, model):
+    t, u, y = motion()
+    record = one(model, t, u, offset + np.mod(counts(y), 2 * np.pi))
+    only(record, "wraps by 6.28319 rad", "unwrapped")
+    assert record.wrapped
+    np.testing.assert_allclose(record.y - record.y[0], counts(y) - counts(y)[0], atol=1e-9)
+    assert record.resolution == pytest.approx(STEP, rel=1e-5)
+
+
+def test_one_wrap_is_enough(model):
+    t, u, _ = motion()
+    y = 1.0 + t  # crosses 2 pi once
+    record = one(model, t, u, np.mod(y, 2 * np.pi))
+    assert record.wrapped
+    np.testing.assert_allclose(record.y, y, atol=1e-9)
+
+
+def test_a_position_that_wraps_by_360_tells_of_its_unit(model):
+    t, u, y = motion()
+    record = one(model, t, u, np.mod(np.degrees(y), 360.0))
+    only(record, "wraps by 360 rad", "[output] unit ('rad')", "a turn has 6.283 rad")
+    np.testing.assert_allclose(np.diff(record.y), np.diff(np.degrees(y)), atol=1e-6)
+
+
+def test_fast_motion_is_not_unwrapped(model):
+    t, u, _ = motion()
+    y = 3.0 * np.tanh(40 * np.sin(4 * t))  # swings by 6 rad within a few samples
+    assert one(model, t, u, y).findings == ()
+
+
+def test_spikes_are_taken_out(model):
+    t, u, y = motion()
+    bad = counts(y)
+    bad[1000] += 0.5
+    bad[3000:3002] -= 2.0
+    record = one(model, t, u, bad)
+    only(record, "at 2 places", "first at sample 1000, 1 s")
+    np.testing.assert_allclose(record.y, y, atol=4 * STEP)
+
+
+def test_noise_and_steps_are_no_spikes(model):
+    t, u, y = motion()
+    rng = np.random.default_rng(3)
+    noisy = y + 1e-3 * rng.standard_normal(N)
+    assert one(model, t, u, noisy).findings == ()
+    slow = counts(0.02 * np.sin(t))  # flickers between neighbouring counts
+    flicker = slow + STEP * (rng.random(N) < 0.01)
+    assert one(model, t, u, flicker).findings == ()
+
+
+def test_a_saturated_input_is_reported(model):
+    t, u, y = motion()
+    only(one(model, t, np.minimum(u, 0.4), y), "largest value 0.4 for", "limit")
+    switched = np.sign(u)  # of two values: nothing hints at a limit
+    assert one(model, t, switched, y).findings == ()
+    coarse = np.round(u / 0.02) * 0.02  # dwells at its crests, as steps do
+    assert one(model, t, coarse, y).findings == ()
+
+
+def test_the_resolution_is_compared_with_the_model(tree):
+    t, u, y = motion()
+    tree["output"]["resolution"] = STEP
+    assert one(Model.from_dict(tree), t, u, counts(y)).findings == ()
+    only(one(Model.from_dict(tree), t, u, y), "shows no such steps", "filtered or interpolated")
+    tree["output"]["resolution"] = STEP / 4
+    only(one(Model.from_dict(tree), t, u, counts(y)), "comes in steps of 0.001534 rad", "correct the resolution or the unit")
+
+
+@pytest.mark.parametrize("step", [0.7e-4, 3.3e-3, 0.1])
+@pytest.mark.parametrize("offset", [0.0, 0.123456789, -1000.0])
+def test_the_resolution_is_found(step, offset, model):
+    t, u, y = motion()
+    assert one(model, t, u, counts(y, step) + offset).resolution == pytest.approx(step, rel=1e-4)
+    assert one(model, t, u, y + offset).resolution is None
+
+
+def test_a_lost_reading_is_reported(model):
+    t, u, y = motion()
+    stuck = counts(y)
+    stuck[4500:4540] = stuck[4499]
+    only(one(model, t, u, stuck), "freezes in motion and then catches up", "from 4.499 to 4.539 s")
+
+
+def test_rest_under_a_sweeping_input_is_reported(model):
+    t, u, y = motion(n=9000)
+    resting = np.concatenate([y[:3000], np.full(3000, y[3000]), y[6000:] - y[6000] + y[3000]])
+    line = [each for each in one(model, t, u, counts(resting)).findings if "stands still" in each]
+    assert len(line) == 1
+    quiet = np.where((t > 3) & (t < 6), 0.1 * u, u)  # stiction under a small input is ordinary
+    assert one(model, t, quiet, counts(resting)).findings == ()

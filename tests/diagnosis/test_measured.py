@@ -1,0 +1,100 @@
+"""The four measured data sets go through intake and plausibility; each test is skipped where its data are absent."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis.excitation import excitation
+from bristle.diagnosis.plausibility import check
+
+_spec = importlib.util.spec_from_file_location("measured", Path(__file__).parents[2] / "benchmarks" / "measured" / "records.py")
+assert _spec is not None
+assert _spec.loader is not None
+measured = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(measured)
+
+
+@pytest.fixture
+def data():
+    if not measured.ROOT.is_dir():
+        pytest.skip(f"no measured data: {measured.ROOT} is not there (set BRISTLE_DATA)")
+    return measured
+
+
+def declared(kind, parameters, output="rad", **more):
+    unit = {"torque": "N.m", "voltage": "V", "current": "A"}[kind]
+    return Model.from_dict(
+        {
+            "friction": "coulomb",
+            "parameters": parameters,
+            "time": {"column": "t", "unit": "s"},
+            "input": {"column": "u", "kind": kind, "unit": unit},
+            "output": {"column": "y", "kind": "position", "unit": output},
+            **more,
+        }
+    )
+
+
+def judged(model, entries, sign=1.0):
+    records = records_from_arrays(model, [(name, t, sign * u, y) for name, t, u, y, _ in entries])
+    assert len({r.h for r in records}) == 1
+    return records, check(model, records)
+
+
+def test_xl330(data):
+    """Half a kilogram at 0.1 m: J is that of the mass and the rotor; the voltage moves it the right way."""
+    entries = data.xl330()
+    assert {e[4]["kp"] for e in entries} == {100, 200, 400, 800}
+    assert max(float(np.max(np.abs(e[2]))) for e in entries) < 9.5
+    model = declared("voltage", {"J": 0.0065, "a2": 0.03, "Fc": 0.04, "b": 0.08})
+    records, found = judged(model, entries)
+    assert found.proposals == ()
+    assert found.fit["explained"] > 0.9
+    assert all(r.resampled and r.resolution == pytest.approx(2 * np.pi / 4096, rel=1e-6) for r in records)
+    assert any("scatter by" in line for line in records[0].findings)
+    [line] = judged(model, entries, -1.0)[1].proposals
+    assert "flipped" in line
+
+
+def test_go1(data):
+    """The torque demand is ahead of a gear of about 6: inertia comes out at a sixth of what mass and arm say."""
+    for mass in (1.0, 2.0, 3.0):
+        inertia = mass * 0.15**2 + 0.003
+        entries = data.go1(mass)
+        assert len(entries) == 3
+        records, found = judged(declared("torque", {"J": inertia / 6, "a2": 0.01, "Fc": 0.02}), entries)
+        assert found.proposals == ()
+        assert all(r.findings == () for r in records if "7m50" not in r.name)
+        tight = {"J": [0.6 * inertia, 1.6 * inertia], "a2": [0.0, 1.0], "Fc": [0.0, 1.0]}
+        _, found = judged(declared("torque", {"J": inertia, "a2": 0.05, "Fc": 0.02}, bounds=tight), entries)
+        assert any(line.startswith("J comes out near") for line in found.findings)
+
+
+def test_emps(data):
+    """The published least squares: M 95.1 kg, Fv 203.5 N.s/m, Fc 20.4 N."""
+    model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.1507}, "m")
+    [record], found = judged(model, data.emps())
+    assert record.findings == ()
+    assert record.resolution == pytest.approx(5e-8, rel=1e-6)
+    assert found.proposals == ()
+    for name, published in (("J", 95.1089), ("a2", 203.5034), ("Fc", 20.3935)):
+        assert found.fit[name]["value"] == pytest.approx(published, rel=0.08)
+    seen = excitation(model, [record])
+    assert seen["duration"]["value"] == pytest.approx(24.84, rel=1e-3)
+    assert seen["range_travelled"]["unit"] == "m"
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_odrive(compensated, data):
+    """Slow turns in one direction at nearly one speed: the caveats say so."""
+    entries = data.odrive(compensated)
+    assert len(entries) == 3
+    model = declared("current", {"J": 2.5e-4, "a2": 1e-5, "Fc": 0.005, "b": 0.0075})
+    records, found = judged(model, entries)
+    assert found.proposals == ()
+    assert all(np.ptp(r.y) == pytest.approx(2 * np.pi * 0.95, rel=0.02) for r in records)
+    caveats = excitation(model, records)["caveats"]
+    assert any("one direction" in line for line in caveats)
