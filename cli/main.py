@@ -1,4 +1,7 @@
-"""The command line: list, build, run. Exit code 0: all verdicts pass, 1: one failed, 2: an error, said in one line."""
+"""The command line: list, build, run, diagnose.
+
+Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an error, said in one line.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,9 @@ import typer
 from bristle.model.errors import BristleError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from bristle.diagnosis.result import Diagnosis
     from bristle.harness.run import Run
 
 PASS, FAIL, ERROR = 0, 1, 2
@@ -70,10 +76,12 @@ def bristle() -> None:
 
 @app.command("list")
 def list_command() -> None:
-    """List friction laws, observer methods and the scenarios that come with bristle."""
+    """List friction laws, observer methods, effects and the scenarios that come with bristle."""
     from bristle.harness.catalogue import catalogue
+    from bristle.plant.effects import effects
 
-    for title, entries in catalogue().items():
+    found = {name: f"{e.description} (class {e.group})" if e.group != name else e.description for name, e in effects().items()}
+    for title, entries in {**catalogue(), "effects": found}.items():
         print(f"{title}:")
         width = max((len(name) for name in entries), default=0)
         for name, description in entries.items():
@@ -161,10 +169,10 @@ def _report(done: Run, seconds: float) -> None:
 
 
 @contextmanager
-def _progress(name: str) -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress bar while a person looks on."""
+def _bar() -> Iterator[Progress | None]:
+    """Give a progress bar while a person looks on."""
     if not sys.stderr.isatty():
-        yield lambda stage, done, total: _check_interrupt()
+        yield None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -177,6 +185,16 @@ def _progress(name: str) -> Iterator[Callable[[str, int, int], None]]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield bar
+
+
+@contextmanager
+def _progress(name: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Show the progress of a run, stage by stage."""
+    with _bar() as bar:
+        if bar is None:
+            yield lambda stage, done, total: _check_interrupt()
+            return
         current = [bar.add_task("starting", name=name, total=None)]
         stages = ["starting"]
 
@@ -189,6 +207,95 @@ def _progress(name: str) -> Iterator[Callable[[str, int, int], None]]:
             bar.update(current[0], completed=done)
 
         yield tell
+
+
+@contextmanager
+def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
+    """Show the progress of one long work: what it does, and how much of the whole is done."""
+    with _bar() as bar:
+        task = None if bar is None else bar.add_task("starting", name=name, total=1.0)
+
+        def tell(text: str, fraction: float) -> None:
+            _check_interrupt()
+            if bar is not None and task is not None:
+                bar.update(task, description=text, completed=fraction)
+
+        yield tell
+
+
+# -- diagnose --------------------------------------------------------------------------------------------------------
+
+
+@app.command(
+    epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file says what the columns hold and what J and friction "
+    "nominally are. With --fmu alone, it must be a ServoPlant, and the columns are t [s], u [V] and theta [rad]. "
+    "Exit code 0: it completed, whatever it found; 2: an error."
+)
+def diagnose(
+    data: Annotated[list[Path], typer.Option(help="measured record; give it once for each file (two or more are best)")],
+    out: Annotated[Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model")],
+    model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml")] = None,
+    fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu")] = None,
+    choose: Annotated[str | None, typer.Option(help="effect to add when several tie", metavar="NAME")] = None,
+    fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
+    debug: DebugOption = False,
+) -> None:
+    """Find where a model and measured records disagree, name the missing effect, and write the model with it."""
+    if model is None and fmu is None:
+        raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
+    _check_effect(choose)
+    from bristle.diagnosis.export import IncompleteError, write
+    from bristle.model.output import check_writable
+
+    check_writable(out)
+    with _fraction("diagnose") as tell:
+        found = _diagnosed(model, fmu, data, tell)
+        tell("writing", 1.0)
+        problem = None
+        try:
+            write(found, out, choose, fmi=int(fmi.value))
+        except BristleError as error:
+            problem = error
+    _summary(found)  # what took so long to find is said even where it cannot be written
+    if problem is None or isinstance(problem, IncompleteError):
+        print(f"{found.verdict}  {out / 'report.html'}", flush=True)
+    if problem is not None:
+        raise problem
+
+
+def _check_effect(name: str | None) -> None:
+    """Refuse an unknown effect before time is spent."""
+    if name is not None:
+        from bristle.plant.effects import effect
+
+        effect(name)
+
+
+def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell: Callable[[str, float], None]) -> Diagnosis:
+    """Read and diagnose a model or an FMU."""
+    from bristle import diagnosis
+
+    tell("reading", 0.0)
+    if fmu is not None:
+        known = diagnosis.load_model(model) if model is not None else diagnosis.fmu_model(fmu)
+        return diagnosis.diagnose_fmu(fmu, known, diagnosis.load_records(known, data), progress=tell)
+    assert model is not None
+    known = diagnosis.load_model(model)
+    return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell)
+
+
+def _summary(found: Diagnosis) -> None:
+    """Print the answer: the sentences, and the effects with their parameters."""
+    for line in (*found.statement, *found.proposals):
+        print(line)
+    rows = [("effect", "parameter", "value", "95 % interval", "unit")]
+    for effect in found.effects:
+        for name, e in effect.parameters.items():
+            interval = f"{e.ci95[0]:.4g} ... {e.ci95[1]:.4g}" if e.ci95 else "-"
+            rows.append((effect.name, name, f"{e.value:.4g}" + (" (at its bound)" if e.at_bound else ""), interval, e.unit))
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows if len(rows) > 1 else ():
+        print("  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
 # -- entry -----------------------------------------------------------------------------------------------------------
@@ -234,7 +341,7 @@ def _explain(error: BaseException) -> str:
     if isinstance(error, BristleError):
         return f"bristle: {error}"
     if type(error).__name__ == "NoArgsIsHelpError":
-        return "bristle: no command; choose one of list, build, run, or see bristle --help"
+        return "bristle: no command; choose one of list, build, run, diagnose, or see bristle --help"
     if usage is not None:
         return f"bristle: {usage()}; see bristle --help"
     return f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback"

@@ -2,7 +2,8 @@
 
 from bristle.diagnosis.intake import Record, load_records, records_from_arrays
 from bristle.diagnosis.modelfile import Model, load_model
+from bristle.diagnosis.plantfmu import fmu_model
 from bristle.diagnosis.result import Diagnosis
 from bristle.diagnosis.workflow import diagnose
 
-__all__ = ["Diagnosis", "Model", "Record", "diagnose", "load_model", "load_records", "records_from_arrays"]
+__all__ = ["Diagnosis", "Model", "Record", "diagnose", "fmu_model", "load_model", "load_records", "records_from_arrays"]

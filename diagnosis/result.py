@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bristle.model.output import plain
 
 Array = NDArray[np.float64]
 
@@ -141,10 +142,13 @@ class Diagnosis:
     model: Any = None  # diagnosis.modelfile.Model
     proposals: tuple[str, ...] = ()  # sign flip, unit factor: mend the data first
     seconds: float = 0.0
+    # of each member of a tie, as if it had been named: its own parameters, and those of the model beside it
+    choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
-        return _plain(
+        content: dict[str, Any] = plain(
             {
                 "verdict": self.verdict,
                 "statement": list(self.statement),
@@ -169,23 +173,8 @@ class Diagnosis:
                 "parameters": {k: asdict(v) for k, v in self.parameters.items()},
                 "rounds": [asdict(r) for r in self.rounds],
                 "undetected": dict(self.undetected),
+                "choices": {n: {k: asdict(v) for k, v in found.items()} for n, found in self.choices.items()},
                 "seconds": self.seconds,
             }
         )  # fmt: skip
-
-
-def _plain(value: Any) -> Any:
-    """Replace arrays by lists and numbers that are not finite by None."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    return value
+        return content

@@ -6,7 +6,7 @@ Nothing symbolic is imported before it is known that something must be built: `o
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -49,8 +49,8 @@ def program_of(what: str, variant: str | None = None, effects: Sequence[str] = (
     return program
 
 
-def _content(what: str, fmi: int, kind: str, variant: str | None, effects: Sequence[str]) -> dict[str, bytes]:
-    program = program_of(what, variant, effects)
+def program_files(program: Program, fmi: int = 2, kind: str = "native") -> dict[str, bytes]:
+    """Return the content of an FMU, file name -> bytes; `fmi` and `kind` as of `build`."""
     if kind == "python":
         from bristle.fmus.python_fmu import python_files
 
@@ -69,6 +69,7 @@ def build(
     law: str | None = None,
     method: str | None = None,
     effects: Sequence[str] = (),
+    parameters: Mapping[str, float] | None = None,
 ) -> Path:
     """Write the FMU `what` (plant, observer or controller) to the file `out`.
 
@@ -82,16 +83,19 @@ def build(
         One friction law or one observer alone, instead of all of them behind a parameter.
     effects : sequence of str
         Effects added to the plant of one law.
+    parameters : mapping of str to float, optional
+        Start values of parameters in SI units, in place of their defaults.
 
     Raises
     ------
     BristleError
-        If there is no such thing, no compiler, or `out` cannot be written.
+        If there is no such thing, no compiler, a parameter is unknown or outside its interval, or `out` cannot be
+        written.
     """
     from bristle.fmus.pack import write_archive
 
-    variant = _check(what, fmi, kind, law, method, effects)
-    return write_archive(Path(out), _content(what, fmi, kind, variant, effects))
+    program = program_of(what, _check(what, fmi, kind, law, method, effects), effects)
+    return write_archive(Path(out), program_files(program.preset(parameters or {}), fmi, kind))
 
 
 def _sources(package: str) -> list[str | bytes]:
@@ -117,13 +121,14 @@ def obtain(
     law: str | None = None,
     method: str | None = None,
     effects: Sequence[str] = (),
+    parameters: Mapping[str, float] | None = None,
 ) -> Path:
     """Return the FMU as a file of the cache, built only if it is not there; arguments as of `build`."""
     variant = _check(what, fmi, kind, law, method, effects)
-    key = _key(kind, what, fmi, variant, *sorted(effects))
+    key = _key(kind, what, fmi, variant, *sorted(effects), *sorted((parameters or {}).items()))
     name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
-        build(what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects)
+        build(what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, parameters=parameters)
 
     return cached(f"{name}.fmu", make)

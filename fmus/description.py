@@ -78,9 +78,8 @@ def _value_attributes(interface: Interface, exposed: Exposed) -> dict[str, objec
 
 
 def _experiment(root: ET.Element, interface: Interface) -> None:
-    parameters = {slot.name for slot in interface.program.slots if slot.kind == "parameter"}
-    tolerance = TOLERANCE.default if TOLERANCE.name in parameters else None
-    step = SAMPLE_TIME.default
+    starts = {slot.name: slot.start for slot in interface.program.slots if slot.kind == "parameter"}
+    tolerance, step = starts.get(TOLERANCE.name), starts.get(SAMPLE_TIME.name, SAMPLE_TIME.default)
     _element(root, "DefaultExperiment", startTime=0.0, stopTime=STOP_TIME, tolerance=tolerance, stepSize=step)
 
 

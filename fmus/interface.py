@@ -92,11 +92,11 @@ class Interface:
         return False
 
     def _size(self, state: State) -> float:
-        """Return the size of a state at the default parameters: what its integration tolerance is relative to."""
+        """Return the size of a state at the start values of the parameters: what its integration tolerance is relative to."""
         system = self.program.variants[0].system
         names = list(system.parameters)
         size = ca.Function("size", [system.vector(names)], [system.expand(SX(state.scale))])
-        value = abs(float(size([p.default for p in system.parameters.values()])))
+        value = abs(float(size([self.program.starts[self.program.index[name]] for name in names])))
         return value if 0.0 < value < math.inf else 1.0
 
     @property

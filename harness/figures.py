@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,18 +12,28 @@ from numpy.typing import NDArray
 
 from bristle.harness.metrics import BAND
 from bristle.harness.validation import Validation
+from bristle.model.drawing import (
+    BLUE,
+    DEGREES,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    RED,
+    STYLE,
+    new_figure,
+    set_labels,
+    set_title,
+    svg,
+    thin,
+)
 
 Array = NDArray[np.float64]
 
-# Okabe and Ito's colours, told apart by colour-blind readers too
-BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
-DEGREES = 180.0 / math.pi
-POINTS = 1200  # of a curve
 CLOUD = 5000  # of a scatter
 LOOPS, NEAR = 5.0, 30.0  # s and deg/s of the friction loops near rest
 WINDOW = 10.0  # s of signals that are shown
-TICKS = 5  # intervals between ticks, at most
-MARGINS = (0.62, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
 SYMBOLS = {  # plain characters: setting mathematics would cost as much as a figure
     "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
 }  # fmt: skip
@@ -35,14 +44,6 @@ NAMES = {
     "linear": "fitted viscous",
 }
 SHADES = {"model": BLUE, "floor": GREEN, "coulomb": ORANGE, "linear": GREY}
-STYLE: Any = {
-    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"], "font.size": 9,
-    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
-    "axes.titlesize": 9.5, "axes.titlelocation": "left", "axes.linewidth": 0.8, "axes.grid": True, "axes.axisbelow": True,
-    "grid.color": "#e6e8ec", "grid.linewidth": 0.7, "xtick.color": INK, "ytick.color": INK, "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5, "lines.linewidth": 1.4, "lines.solid_joinstyle": "round", "legend.frameon": False,
-    "legend.fontsize": 8.5, "svg.hashsalt": "bristle", "path.simplify": True,
-}  # fmt: skip
 
 
 @dataclass
@@ -64,53 +65,6 @@ class Pictures:
         return float(self.time[1] - self.time[0]) if len(self.time) > 1 else 1.0
 
 
-def _thin(n: int, points: int = POINTS) -> NDArray[np.intp]:
-    return np.unique(np.linspace(0, n - 1, min(n, points)).round().astype(np.intp))
-
-
-def _svg(figure: Any, salt: str) -> str:
-    from matplotlib import rc_context
-    from matplotlib.ticker import AutoLocator
-
-    for ax in figure.axes:  # ticks are most of what drawing costs
-        for axis in (ax.xaxis, ax.yaxis):
-            if isinstance(axis.get_major_locator(), AutoLocator):
-                axis.get_major_locator().set_params(nbins=TICKS)
-    out = io.StringIO()
-    with rc_context({"svg.hashsalt": f"bristle-{salt}"}):
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    text = out.getvalue()
-    return text[text.index("<svg") :]
-
-
-def _figure(width: float, height: float) -> Any:
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height))
-    FigureCanvasSVG(figure)
-    # fixed margins in inches: a layout engine would measure every label twice
-    left, right, bottom, top = MARGINS
-    figure.subplots_adjust(left / width, bottom / height, 1 - right / width, 1 - top / height)
-    return figure
-
-
-def _title(ax: Any, text: str, **style: Any) -> None:
-    """Set a title at a fixed height, which spares measuring what lies below it."""
-    ax.set_title(text, y=1.0, pad=5, **style)
-
-
-def _labels(ax: Any, x: str | None = None, y: str | None = None) -> None:
-    """Name the axes, the labels at fixed distances in inches."""
-    width, height = (size * share for size, share in zip(ax.figure.get_size_inches(), ax.get_position().size, strict=True))
-    if x is not None:
-        ax.set_xlabel(x)
-        ax.xaxis.set_label_coords(0.5, -0.31 / height)
-    if y is not None:
-        ax.set_ylabel(y)
-        ax.yaxis.set_label_coords(-0.44 / width, 0.5)
-
-
 def draw(pictures: Pictures) -> dict[str, str]:
     """Return the figures by name, each an <svg> element."""
     from matplotlib import rc_context
@@ -122,7 +76,7 @@ def draw(pictures: Pictures) -> dict[str, str]:
         ):  # fmt: skip
             figure = painter(pictures)
             if figure is not None:
-                made[name] = _svg(figure, name)
+                made[name] = svg(figure, name)
     return made
 
 
@@ -140,7 +94,7 @@ def _estimates(pictures: Pictures) -> Any:
         return None
     columns = len(names) if len(names) <= 3 else 2 if len(names) == 4 else 3 if len(names) <= 6 else 4
     rows = -(-len(names) // columns)
-    figure = _figure(11.0, 2.15 * rows + 0.35)
+    figure = new_figure(11.0, 2.15 * rows + 0.35)
     axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False)).ravel()
     figure.subplots_adjust(wspace=0.24, hspace=0.42)
     for ax, name in zip(axes, names, strict=False):
@@ -148,17 +102,17 @@ def _estimates(pictures: Pictures) -> Any:
     for ax in axes[len(names) :]:
         ax.set_visible(False)
     for ax in axes[max(0, len(names) - columns) : len(names)]:
-        _labels(ax, x="time, s")
+        set_labels(ax, x="time, s")
         ax.tick_params(labelbottom=True)
     return figure
 
 
 def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     facts, hat = pictures.estimates[name], pictures.hats[name]
-    index = _thin(len(hat))
+    index = thin(len(hat))
     time = pictures.time[index]
     unit = _unit(facts["unit"])
-    _title(ax, f"{SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
+    set_title(ax, f"{SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
     true = pictures.true.get(name)
     if true is not None:
         level = true[index]
@@ -172,7 +126,7 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
         ax.axvline(settled, color=GREEN, linewidth=1.0, linestyle=":")
     if error is not None and math.isfinite(error):
         when = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
-        _title(ax, f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= BAND else RED)
+        set_title(ax, f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= BAND else RED)
 
 
 def _limits(ax: Any, hat: Array, true: Array) -> None:
@@ -200,10 +154,10 @@ def _signals(pictures: Pictures) -> Any:
     signals, part = pictures.signals, _window(pictures.time)
     if "v" not in signals or len(pictures.time[part]) < 2:
         return None
-    figure = _figure(11.0, 4.2)
+    figure = new_figure(11.0, 4.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
     index = np.arange(len(pictures.time))[part]
-    index = index[_thin(len(index), 2000)]
+    index = index[thin(len(index), 2000)]
     time = pictures.time[index]
     curves = (("reference", PALE, "reference"), ("v", BLUE, "velocity"), ("v_hat", ORANGE, "observer's estimate"))
     for key, colour, label in curves:
@@ -211,11 +165,11 @@ def _signals(pictures: Pictures) -> Any:
             style: dict[str, Any] = {"linestyle": (0, (3, 2)), "linewidth": 1.2} if key == "v_hat" else {}
             style |= {"linewidth": 0.9} if key == "reference" else {}
             top.plot(time, signals[key][index] * DEGREES, color=colour, label=label, **style)
-    _labels(top, y="velocity, deg/s")
+    set_labels(top, y="velocity, deg/s")
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.16))
     if "u" in signals:
         bottom.plot(time, signals["u"][index], color=INK, linewidth=1.0)
-    _labels(bottom, x="time, s", y="voltage, V")
+    set_labels(bottom, x="time, s", y="voltage, V")
     bottom.set_xlim(time[0], time[-1])
     return figure
 
@@ -226,7 +180,7 @@ def _signals(pictures: Pictures) -> Any:
 def _friction(pictures: Pictures) -> Any:
     if pictures.friction is None and pictures.friction_hat is None:
         return None
-    figure = _figure(11.0, 3.9)
+    figure = new_figure(11.0, 3.9)
     wide, near = figure.subplots(1, 2, width_ratios=[1.25, 1])
     for cloud, colour, size, label in (
         (pictures.friction, PALE, 4.5, "plant, F/J"),
@@ -235,18 +189,18 @@ def _friction(pictures: Pictures) -> Any:
         if cloud is None:
             continue
         v, force = cloud[0] * DEGREES, cloud[1]
-        index = _thin(len(v), CLOUD)
+        index = thin(len(v), CLOUD)
         wide.plot(v[index], force[index], ".", color=colour, markersize=size, markeredgewidth=0, label=label, rasterized=True)
         last = slice(-round(LOOPS / pictures.step), None)
         line = {"linewidth": 2.6, "color": PALE} if colour == PALE else {"linewidth": 0.9, "color": BLUE}
         near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * NEAR, force[last], np.nan), **line)
-    _labels(wide, y="friction over inertia, rad/s²")
-    _title(wide, "whole range")
-    _title(near, f"near rest, the last {LOOPS:g} s: presliding loops")
+    set_labels(wide, y="friction over inertia, rad/s²")
+    set_title(wide, "whole range")
+    set_title(near, f"near rest, the last {LOOPS:g} s: presliding loops")
     near.set_xlim(-NEAR, NEAR)
     wide.legend(loc="upper left", markerscale=3)
     for ax in (wide, near):
-        _labels(ax, x="velocity, deg/s")
+        set_labels(ax, x="velocity, deg/s")
     return figure
 
 
@@ -257,13 +211,13 @@ def _validation(pictures: Pictures) -> Any:
     found = pictures.validation
     if found is None:
         return None
-    figure = _figure(11.0, 4.6)
+    figure = new_figure(11.0, 4.6)
     grid = figure.add_gridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[1.5, 1])
     top = figure.add_subplot(grid[0, 0])
     low = figure.add_subplot(grid[1, 0], sharex=top)
     bars = figure.add_subplot(grid[:, 1])
     index = np.arange(len(found.time))[_window(found.time)]
-    index = index[_thin(len(index), 1500)]
+    index = index[thin(len(index), 1500)]
     time = found.time[index]
     top.plot(time, found.measured[index] * DEGREES, color=INK, linewidth=2.2, alpha=0.35, label="plant")
     for name in ("linear", "coulomb", "floor", "model"):
@@ -273,9 +227,9 @@ def _validation(pictures: Pictures) -> Any:
     if "model" in found.predictions:
         top.plot(time, found.predictions["model"][index] * DEGREES, color=BLUE, linestyle=(0, (3, 2)), label=NAMES["model"])
     top.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
-    _labels(top, y="velocity, deg/s")
+    set_labels(top, y="velocity, deg/s")
     top.tick_params(labelbottom=False)
-    _labels(low, x="time, s (second record, open loop)", y="error, deg/s")
+    set_labels(low, x="time, s (second record, open loop)", y="error, deg/s")
     low.set_xlim(time[0], time[-1])
     _bars(bars, found.scores)
     return figure
@@ -285,7 +239,7 @@ def _bars(ax: Any, scores: Mapping[str, float]) -> None:
     shown = [
         (name, scores[name]) for name in ("model", "floor", "coulomb", "linear") if name in scores and math.isfinite(scores[name])
     ]
-    _title(ax, "MSE, % of variance (log scale)")
+    set_title(ax, "MSE, % of variance (log scale)")
     ax.grid(axis="y", visible=False)
     if not shown:
         ax.text(0.5, 0.5, "no model could be scored", ha="center", transform=ax.transAxes, color=GREY)

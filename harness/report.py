@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import math
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
-from importlib.resources import files
 from typing import Any
+
+from bristle.model.html import badge, figure, number, page, table, unit
 
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ"}  # fmt: skip
@@ -23,43 +22,12 @@ CAPTIONS = {
 }  # fmt: skip
 
 
-def number(value: object, digits: int = 4) -> str:
-    """Write a number for people; a dash where there is none."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        return "–"
-    if value == 0 or 1e-3 <= abs(value) < 1e6:
-        text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
-    else:
-        mantissa, exponent = f"{value:.{max(0, digits - 2)}e}".split("e")
-        text = f"{mantissa}·10<sup>{int(exponent)}</sup>"
-    return text.replace("-", "−")
-
-
-def unit(text: str) -> str:
-    """Write a unit for people: rad/s2 -> rad/s²."""
-    return "" if text == "1" else re.sub(r"(?<=[a-z])2", "²", escape(text)).replace(".", "·")
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
-    """Return an HTML table; columns in `numeric` are set right."""
-
-    def cell(tag: str, index: int, text: str) -> str:
-        return f'<{tag} class="n">{text}</{tag}>' if index in numeric else f"<{tag}>{text}</{tag}>"
-
-    body = "".join("<tr>" + "".join(cell("td", i, text) for i, text in enumerate(row)) + "</tr>" for row in rows)
-    return (
-        "<table><thead><tr>"
-        + "".join(cell("th", i, text) for i, text in enumerate(head))
-        + f"</tr></thead><tbody>{body}</tbody></table>"
-    )
-
-
 def _finite(value: object) -> float | None:
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) and value > 0 else None
 
 
-def _badge(good: bool, text: str) -> str:
-    return f'<span class="badge {"good" if good else "bad"}">{escape(text)}</span>'
+def _verdict(passed: bool) -> str:
+    return badge("good", "pass") if passed else badge("bad", "fail")
 
 
 def _checks(result: Mapping[str, Any]) -> str:
@@ -69,8 +37,8 @@ def _checks(result: Mapping[str, Any]) -> str:
         name = escape(check["name"])
         if check["name"] != check["quantity"]:
             name += f'<div class="sub">{escape(check["quantity"])}</div>'
-        verdict = _badge(check["pass"], "pass" if check["pass"] else "fail")
-        rows.append((name, number(check["value"]), f"{signs[check['kind']]} {number(check['limit'])}", verdict))
+        limit = f"{signs[check['kind']]} {number(check['limit'])}"
+        rows.append((name, number(check["value"]), limit, _verdict(check["pass"])))
     return table(("check", "value", "limit", ""), rows, (1, 2))
 
 
@@ -132,10 +100,7 @@ def _figures(result: Mapping[str, Any], figures: Mapping[str, str]) -> str:
     for name, svg in figures.items():
         title, caption = CAPTIONS[name]
         extra = _validation(result) if name == "validation" else ""
-        # an image of its own, so that the figures' element ids cannot meet
-        data = base64.b64encode(svg.encode()).decode()
-        image = f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{data}">'
-        parts.append(f"<h2>{escape(title)}</h2>{extra}<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
+        parts.append(f"<h2>{escape(title)}</h2>{extra}{figure(title, svg, caption)}")
     return "".join(parts)
 
 
@@ -171,8 +136,6 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
     source : str
         Text of the scenario file.
     """
-    style = (files("bristle.harness") / "report.css").read_text(encoding="utf-8")
-    passed = result["verdict"] == "pass"
     notes = "".join(f'<p class="alarm">{escape(note)}</p>' for note in result.get("notes", []))
     about_rows = "".join(f"<dt>{key}</dt><dd>{escape(about[key])}</dd>" for key in ("source", "limits") if about.get(key))
     overrides = result.get("overrides") or []
@@ -180,12 +143,8 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
     title = about.get("title") or result["scenario"]
     steps = f"{result['steps']:,}".replace(",", "\u202f")
     simulated = f"{result['duration_s']:g} s simulated in {steps} steps; the whole run took {result['wall_s']:.1f} s"
-    return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>{escape(result["scenario"])}: {result["verdict"]}</title><style>{style}</style></head>
-<body><main>
-<header><p class="name">{escape(result["scenario"])}</p>
-<h1>{escape(title)} {_badge(passed, result["verdict"])}</h1>
+    body = f"""<header><p class="name">{escape(result["scenario"])}</p>
+<h1>{escape(title)} {_verdict(result["verdict"] == "pass")}</h1>
 <p class="lead">{escape(about.get("shows", ""))}</p><p class="sub">{simulated}</p></header>
 {notes}
 <h2>Verdict</h2>{_checks(result)}
@@ -195,6 +154,5 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
 <h2>About this scenario</h2><dl>{about_rows}</dl>{changed}
 <details><summary>The scenario file</summary><pre>{escape(source)}</pre></details>
 <h2>Where the time went</h2>{_times(result)}
-<h2>What took part</h2>{_participants(result)}
-</main></body></html>
-"""
+<h2>What took part</h2>{_participants(result)}"""
+    return page(f"{result['scenario']}: {result['verdict']}", body)

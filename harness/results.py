@@ -4,41 +4,19 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import math
 import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.model.errors import BristleError
+from bristle.model.output import complain, write_file
 
 OURS = {".json", ".csv", ".html", ".svg"}  # what a result folder consists of
 ROWS = 2000  # of the thinned signals.csv
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON can hold it: what is not a finite number becomes null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    return value
-
-
-def to_json(result: Mapping[str, Any]) -> str:
-    """Return result.json."""
-    return json.dumps(plain(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
@@ -50,23 +28,6 @@ def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
     csv.writer(out, lineterminator="\n").writerow(columns)
     np.savetxt(out, table, fmt="%.10g", delimiter=",")
     return out.getvalue()
-
-
-def complain(folder: Path, error: OSError) -> BristleError:
-    """Return the one line for a folder that cannot be written."""
-    return BristleError(
-        f"output folder {folder}: {error.strerror or error}; choose another with --out or make room (nothing was changed)"
-    )
-
-
-def check_writable(out: Path) -> None:
-    """Create the output folder and try it, before time is spent."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out, prefix=".bristle-try-"):
-            pass
-    except OSError as error:
-        raise complain(out, error) from None
 
 
 def refuse_strange(target: Path) -> None:
@@ -96,18 +57,11 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
             fresh, old = Path(work) / "new", Path(work) / "old"
             fresh.mkdir()
             for file, content in files.items():
-                _write_file(fresh / file, content.encode() if isinstance(content, str) else content)
+                write_file(fresh / file, content.encode() if isinstance(content, str) else content)
             _exchange(fresh, target, old)
     except OSError as error:
         raise complain(out, error) from None
     return target
-
-
-def _write_file(path: Path, content: bytes) -> None:
-    with path.open("wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())  # a full disk may show only here
 
 
 def _exchange(fresh: Path, target: Path, old: Path) -> None:

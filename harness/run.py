@@ -23,6 +23,7 @@ from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
 from bristle.harness.plan import validation as validation_bus
 from bristle.harness.scenario import load
 from bristle.harness.validation import Validation, identification_data, identified_model, lean_fmus, told, validate
+from bristle.model.output import check_writable, plain, to_json
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
@@ -80,7 +81,7 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
     options, clock = options or Options(), _Clock()
     tell = progress or (lambda stage, done, total: None)
     loaded = load(path, options.overrides, options.seed)
-    results.check_writable(out)
+    check_writable(out)
     results.refuse_strange(out / loaded.name)
     with clock.stage("FMUs (built only if new)"):
         tell("building FMUs", 0, 0)
@@ -228,8 +229,8 @@ def _files(
     result["timing"] = {name: round(seconds, 4) for name, seconds in clock.seconds.items()}
     result["wall_s"] = round(math.fsum(clock.seconds.values()), 4)
     files: dict[str, str | bytes] = {f"{name}.svg": svg for name, svg in figures.items()}
-    page = render(results.plain(result), figures, about, setup.loaded.text)
-    return {"result.json": results.to_json(result), "signals.csv": csv, "report.html": page, **files}
+    page = render(plain(result), figures, about, setup.loaded.text)
+    return {"result.json": to_json(result), "signals.csv": csv, "report.html": page, **files}
 
 
 def _pictures(result: Mapping[str, Any], view: _View, validated: Validation | None) -> Any:

@@ -6,8 +6,9 @@ share the table; each has its own functions, and a selector parameter chooses th
 
 from __future__ import annotations
 
+import copy
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -258,6 +259,27 @@ class Program:
     def starts(self) -> list[float]:
         """The content of `v[]` before anything is set."""
         return [slot.start for slot in self.slots]
+
+    def preset(self, values: Mapping[str, float]) -> Program:
+        """Return the same program with other start values of parameters [SI].
+
+        Raises
+        ------
+        BristleError
+            If one is no parameter of this program, or outside its interval.
+        """
+        known = [slot.name for slot in self.slots if slot.kind == "parameter"]
+        for name in values:
+            if name not in known:
+                raise BristleError(f"'{name}' is no parameter of {self.name}; known: {', '.join(known)}")
+        made = copy.copy(self)
+        made.slots = [
+            replace(slot, start=float(slot.variable.check(values[slot.name])))
+            if isinstance(slot.variable, Parameter) and slot.name in values
+            else slot
+            for slot in self.slots
+        ]
+        return made
 
     @property
     def token(self) -> str:

@@ -1,9 +1,13 @@
-"""Shared by the tests of the diagnosis: a model, a simulated record, and what checks a line of an error."""
+"""Shared by the tests of the diagnosis: a model, a simulated record, made-up answers, and what checks a line of an error."""
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable
 from copy import deepcopy
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,6 +15,7 @@ import pytest
 from scipy.signal import lfilter
 
 from bristle.diagnosis import Model
+from bristle.diagnosis.result import Diagnosis
 from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.model.program import Program
@@ -89,3 +94,27 @@ def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
         return t, u, np.floor(out[:-1, 0] / STEP) * STEP, out[:-1, 1]
 
     return run
+
+
+def _load(name: str) -> ModuleType:
+    """Import a neighbouring file; tests are no package."""
+    full = f"bristle_tests_diagnosis_{name}"
+    if full not in sys.modules:
+        spec = importlib.util.spec_from_file_location(full, Path(__file__).parent / f"{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[full] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[full])
+    return sys.modules[full]
+
+
+@pytest.fixture(scope="session")
+def fabricated() -> ModuleType:
+    """The module fabricated.py."""
+    return _load("fabricated")
+
+
+@pytest.fixture
+def answer(fabricated: ModuleType) -> Callable[[str], Diagnosis]:
+    """Return a maker of diagnoses by case: named, tie, none, not_identifiable, proposals."""
+    return lambda case: fabricated.CASES[case]()

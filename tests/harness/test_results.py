@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bristle.harness import results
+from bristle.model import output
 
 Message = Callable[[Callable[[], object]], str]
 FILES: dict[str, str | bytes] = {"a.json": "{}", "b.bin": b"\0\1"}
@@ -81,7 +82,7 @@ def test_an_exchange_that_fails_puts_the_old_result_back(
 
 def test_a_file_in_the_way_is_one_line(tmp_path: Path, message: Message) -> None:
     (tmp_path / "out").write_text("a file")
-    for call in (lambda: results.check_writable(tmp_path / "out"), lambda: results.write(tmp_path / "out", "case", FILES)):
+    for call in (lambda: output.check_writable(tmp_path / "out"), lambda: results.write(tmp_path / "out", "case", FILES)):
         assert "output folder" in message(call)
 
 

@@ -25,7 +25,9 @@ ALLOWED = {
     "cli": {"cli", "harness", "diagnosis", "fmus", "plant", "observer", "model"},
 }
 # what of the ground floor the harness may use: it knows FMUs, not equations
-HARNESS_MODEL = {f"bristle.model.{name}" for name in ("units", "compiler", "errors", "cache", "table", "toml")}
+HARNESS_MODEL = {
+    f"bristle.model.{name}" for name in ("units", "compiler", "errors", "cache", "table", "toml", "output", "html", "drawing")
+}
 
 
 def imports(path):

@@ -1,0 +1,62 @@
+"""A plant FMU as the model of a diagnosis: what its modelDescription says, where no model file is given beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bristle.diagnosis.modelfile import Model
+from bristle.model.errors import BristleError
+from bristle.plant.effects import effects
+from bristle.plant.friction import laws
+
+KINDS = ("Real", "Float64", "Enumeration")  # of a start value that is a number
+ADVICE = "give a MODEL.toml beside --fmu"
+
+
+def fmu_model(path: Path) -> Model:
+    """Return the model that an FMU with the variables of ServoPlant describes, at its start values.
+
+    Records have the columns t [s], u [V] and theta [rad], or v [rad/s] if the FMU has no theta.
+
+    Raises
+    ------
+    BristleError
+        If the FMU cannot be read or does not say enough.
+    """
+    starts, outputs = _read(path)
+    for name in ("J", "a2", "b"):
+        if name not in starts:
+            raise BristleError(f"FMU {path}: no parameter '{name}' to scale by; {ADVICE}")
+    if not {"theta", "v"} & outputs:
+        raise BristleError(f"FMU {path}: no output 'theta' or 'v'; {ADVICE}")
+    known = laws()
+    law = next((name for name in known if any(start.startswith(f"{name}.") for start in starts)), "viscous")
+    if starts.get("law") is not None:  # all laws behind a selector, numbered from 1 in this order
+        law = list(known)[int(starts["law"]) - 1]
+    found: dict[str, dict[str, float]] = {}
+    for effect in effects():
+        own = {name.removeprefix(f"{effect}."): x for name, x in starts.items() if name.startswith(f"{effect}.")}
+        found |= {effect: own} if own else {}
+    parameters = {name: x for name, x in starts.items() if name in ("J", "a2", "b") or name.startswith(f"{law}.")}
+    output: dict[str, Any] = {"column": "theta", "kind": "position", "unit": "rad"}
+    if "theta" not in outputs:
+        output = {"column": "v", "kind": "velocity", "unit": "rad/s"}
+    tree = {
+        "friction": law, "parameters": parameters, "effects": found, "output": output,
+        "time": {"column": "t", "unit": "s"}, "input": {"column": "u", "kind": "voltage", "unit": "V"},
+    }  # fmt: skip
+    return Model.from_dict(tree, f"FMU {path}")
+
+
+def _read(path: Path) -> tuple[dict[str, float], set[str]]:
+    """Return the start values of the parameters and the names of the outputs."""
+    from fmpy.model_description import read_model_description
+
+    try:
+        variables = read_model_description(str(path), validate=False).modelVariables
+    except Exception as error:  # FMPy lets through whatever zipfile, lxml or its own parser raise
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BristleError(f"FMU {path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
+    parameters = [v for v in variables if v.causality == "parameter" and v.start is not None and v.type in KINDS]
+    return {v.name: float(v.start) for v in parameters}, {v.name for v in variables if v.causality == "output"}

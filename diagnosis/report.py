@@ -1,0 +1,286 @@
+"""report.html of a diagnosis: one self-contained file for the engineer at the rig, the answer first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from bristle.diagnosis.figures import Rig, captions, improved, view_name
+from bristle.diagnosis.modelfile import si_unit
+from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
+from bristle.model.html import badge, figure, number, page, table, unit
+from bristle.plant.effects import effects as all_effects
+
+LOOKS = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
+WORDS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
+EXCITATION = {  # key -> how a person says it; the others read as they are
+    "input_range": "input", "input_dominant_tone_share": "share of its strongest tone", "input_bandwidth": "bandwidth of the input",
+    "speed_range": "speed", "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
+    "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",
+    "backward_share": "time backward", "torque_range": "torque of the drive",
+}  # fmt: skip
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict as a heading."""
+    if diagnosis.proposals:
+        return "First mend the data"
+    names = [effect.name for effect in diagnosis.effects]
+    if diagnosis.verdict == "named":
+        return f"The model lacks {_listed(names, 'and')}"
+    if diagnosis.verdict == "tie":
+        sets = "; ".join(_listed(tie, "or") for tie in diagnosis.ties)
+        return f"The model lacks {sets}: the data fit each equally well"
+    if diagnosis.verdict == "none":
+        unknown = "Something is missing, and no effect of the catalogue explains it"
+        return unknown if diagnosis.remains.flag else "No effect is missing"
+    return "These records cannot tell what is missing"
+
+
+def _listed(names: Sequence[str], word: str) -> str:
+    """Return "a, b and c"."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else "nothing"
+
+
+def interval(value: float, low: float, high: float) -> str:
+    """Write a value with its interval, to two figures of its half width: 0.0600 ± 0.0018, or with both ends if lopsided."""
+    half = (high - low) / 2
+    if not (all(map(math.isfinite, (value, low, high))) and half > 0):
+        return number(value)
+    largest = max(abs(value), half)
+    power = 0 if 1e-3 <= largest < 1e5 else math.floor(math.log10(largest))
+    decimals = max(0, 1 - math.floor(math.log10(half) - power))
+    mid, below, above, spread = (f"{x / 10.0**power:.{decimals}f}".replace("-", "−") for x in (value, low, high, half))
+    lopsided = abs(high + low - 2 * value) > 0.2 * half
+    text = f"{mid} <span class=\"sub\">[{below} … {above}]</span>" if lopsided else f"{mid} ± {spread}"
+    return text if power == 0 else f"({text})·10<sup>{power}</sup>".replace("-", "−")
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+
+
+class _Writer:
+    """Writes estimates in the units of a rig."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+
+    def unit(self, text: str) -> str:
+        return unit(si_unit(text, self.rig.linear, self.rig.input_kind)) or "–"
+
+    def estimate(self, e: Estimate | None) -> str:
+        """Write value, interval and, where it ended there, the bound."""
+        if e is None:
+            return "–"
+        text = number(e.value) if e.ci95 is None else interval(e.value, *e.ci95)
+        return text + (f" {badge('bad', 'at its bound')}" if e.at_bound else "")
+
+    def effects(self, effects: Iterable[Named]) -> str:
+        """Return the table of named effects, a line for each parameter."""
+        rows, known = [], all_effects()
+        for effect in effects:
+            meaning = known[effect.name].description if effect.name in known else effect.group
+            facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
+            first = f'<b>{escape(effect.name)}</b><div class="sub">{escape(meaning)}</div><div class="sub">{facts}</div>'
+            rows += self._parameters(effect.name, first, effect.parameters)
+        return table(("effect", "parameter", "value, 95 % interval", "unit"), rows)
+
+    def _parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
+        known = all_effects()
+        meanings = {p.name: p.description for p in known[name].parameters} if name in known else {}
+        rows: list[tuple[str, ...]] = []
+        for k, (key, e) in enumerate(parameters.items()):
+            meaning = meanings.get(f"{name}.{key}", "")
+            label = f'{escape(key)}<div class="sub">{escape(meaning)}</div>'
+            rows.append((first if k == 0 else "", label, self.estimate(e), self.unit(e.unit)))
+        return rows or [(first, "", "", "")]
+
+    def base(self, diagnosis: Diagnosis, choose: str | None) -> str:
+        """Return the model's parameters: nominal, refitted, refitted with the effects."""
+        nominal = dict(diagnosis.model.parameters) if diagnosis.model is not None else {}
+        columns = {"refitted alone": diagnosis.base}
+        if diagnosis.effects:
+            columns["refitted with " + _listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
+        for name, found in diagnosis.choice_parameters.items():
+            columns[f"refitted with {name}" + (" (chosen)" if name == choose else "")] = found
+        units = {name: e.unit for column in columns.values() for name, e in column.items()}
+        rows = []
+        for name in dict.fromkeys([*nominal, *units]):
+            fitted = [self.estimate(column[name]) if name in column else "kept" for column in columns.values()]
+            rows.append((escape(name), self.unit(units[name]) if name in units else "–", number(nominal.get(name)), *fitted))
+        return table(("parameter", "unit", "nominal", *map(escape, columns)), rows, (2,))
+
+
+# -- sections ----------------------------------------------------------------------------------------------------------
+
+
+def _section(title: str, body: str) -> str:
+    return f"<h2>{escape(title)}</h2>{body}" if body else ""
+
+
+def _items(lines: Iterable[str]) -> str:
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f"<ul>{items}</ul>" if items else ""
+
+
+def _proposals(diagnosis: Diagnosis) -> str:
+    if not diagnosis.proposals:
+        return ""
+    return f'<div class="alarm"><b>Mend this first, then diagnose again:</b>{_items(diagnosis.proposals)}</div>'
+
+
+def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
+    if not diagnosis.ties:
+        return ""
+    parts = [f"<p>Within {escape(_listed(tie, 'and'))} the data cannot choose.</p>" for tie in diagnosis.ties]
+    if diagnosis.choices:
+        members = (Named(name, "", found, math.nan, math.nan) for name, found in diagnosis.choices.items())
+        rows = [row for m in members for row in writer._parameters(m.name, f"<b>{escape(m.name)}</b>", m.parameters)]
+        parts.append(table(("if it is", "parameter", "value, 95 % interval", "unit"), rows))
+    if choose is not None:
+        parts.append(f"<p>Chosen by hand for the augmented model: <b>{escape(choose)}</b>.</p>")
+    elif diagnosis.verdict == "tie":
+        parts.append("<p>No model was augmented: choose one of them with <code>--choose NAME</code> to get one.</p>")
+    return "".join(parts)
+
+
+def _gap_facts(diagnosis: Diagnosis) -> str:
+    gap, facts = diagnosis.gap, []
+    if gap.shrink is not None and improved(diagnosis):
+        facts.append(f"The gap shrank by <b>{100 * gap.shrink:.1f} %</b>.")
+    if gap.ratio is not None:
+        begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
+        facts.append(f"{begin} {number(gap.ratio, 3)} times the noise floor.")
+    else:
+        facts.append("The noise floor could not be estimated, so the share of the gap that closed is not known.")
+    return f"<p>{' '.join(facts)}</p>"
+
+
+def _remains(diagnosis: Diagnosis) -> str:
+    left = diagnosis.remains
+    share = f"{100 * left.share:.0f} %"
+    if not (left.flag or diagnosis.where):
+        return ""  # nothing was looked for
+    if left.flag:
+        where = f" from <b>{escape(view_name(left.view))}</b>" if left.view else ""
+        return (
+            f'<p class="alarm">Something remains: {share} of the residual can be predicted{where}, '
+            "and no effect of the catalogue explains it.</p>"
+        )
+    return f"<p>Nothing that stands out: at most {share} of the residual can be predicted from any view.</p>"
+
+
+def _views(diagnosis: Diagnosis) -> str:
+    rows = [
+        (escape(view_name(v.view)), f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2))
+        for v in diagnosis.where
+    ]
+    kept = 5 if improved(diagnosis) else 3
+    head = ("view", "share before", "p", "share after", "p")
+    return table(head[:kept], [row[:kept] for row in rows], (1, 2, 3, 4)) if rows else ""
+
+
+def _value(value: Any) -> str:
+    """Write what an excitation table holds: a number, text, a number or a range with its unit."""
+    if isinstance(value, Mapping):
+        ends = [value[key] for key in ("value", "lowest", "highest") if key in value]
+        return f"{' … '.join(map(_value, ends))} {unit(str(value.get('unit', '1')))}".strip()
+    return number(value, 3) if isinstance(value, (int, float)) else escape(str(value))
+
+
+def _fact(key: str, value: Any) -> tuple[str, str]:
+    """Return a line of the excitation table; shares are written in per cent."""
+    share = key.endswith("_share") and isinstance(value, float)
+    return escape(EXCITATION.get(key, key.replace("_", " "))), f"{100 * value:.0f} %" if share else _value(value)
+
+
+def _excitation(diagnosis: Diagnosis) -> str:
+    rows = [_fact(key, value) for key, value in diagnosis.excitation.items() if key != "caveats"]
+    said = _items(diagnosis.excitation.get("caveats", ()))
+    return (table(("of the records", ""), rows) if rows else "") + said
+
+
+def _undetected(diagnosis: Diagnosis) -> str:
+    rows = [(escape(name), escape(text)) for name, text in diagnosis.undetected.items()]
+    return table(("effect", "would have been seen from"), rows) if rows else ""
+
+
+def _rounds(diagnosis: Diagnosis) -> str:
+    rows = []
+    for k, each in enumerate(diagnosis.rounds, start=1):
+        best = max((c for c in each.candidates if math.isfinite(c.gain)), key=lambda c: c.gain, default=None)
+        rows.append((str(k), _best(best), number(each.null_level, 3), number(each.p, 2), escape(each.decision)))
+    return table(("round", "best candidate", "chance level, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
+
+
+def _best(candidate: Candidate | None) -> str:
+    if candidate is None:
+        return "–"
+    shrink = f", shrink {100 * candidate.shrink:.0f} %" if math.isfinite(candidate.shrink) else ""
+    return f'{escape(candidate.name)}<div class="sub">gain {number(candidate.gain, 3)} nats{shrink}</div>'
+
+
+def _files(files: Mapping[str, str]) -> str:
+    return table(("file", ""), [(f"<code>{escape(name)}</code>", escape(text)) for name, text in files.items()])
+
+
+def _records(diagnosis: Diagnosis) -> str:
+    said = []
+    for trace in diagnosis.traces:
+        samples = f"{len(trace.time):,} samples".replace(",", "\u202f")
+        said.append(f"{trace.name} ({samples})")
+    return "; ".join(said)
+
+
+def render(
+    diagnosis: Diagnosis,
+    figures: Mapping[str, str],
+    files: Mapping[str, str],
+    notes: Sequence[str] = (),
+    choose: str | None = None,
+) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    figures : mapping of str to str
+        SVG text by name, as `bristle.diagnosis.figures.draw` gives it.
+    files : mapping of str to str
+        What was written: file name and what it is.
+    notes : sequence of str
+        What could not be written, and why.
+    choose : str, optional
+        Member of a tie that was chosen by hand.
+    """
+    rig = Rig.of(diagnosis)
+    writer = _Writer(rig)
+    words = captions(diagnosis)
+    drawn = {name: figure(words[name][0], text, words[name][1]) for name, text in figures.items()}
+    lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in diagnosis.statement)
+    alarms = _proposals(diagnosis) + "".join(f'<p class="alarm">{escape(note)}</p>' for note in notes)
+    title = headline(diagnosis)
+    mark = badge("bad", "data") if diagnosis.proposals else badge(LOOKS[diagnosis.verdict], WORDS[diagnosis.verdict])
+    following = _section("What to measure next", f"<p>{escape(diagnosis.experiment)}</p>" if diagnosis.experiment else "")
+    settled = diagnosis.verdict in ("named", "none")  # else what to measure next is the answer
+    parts = [
+        f'<header><p class="name">diagnosis of {escape(_records(diagnosis))}</p><h1>{escape(title)} {mark}</h1>{lead}'
+        f'<p class="sub">found in {diagnosis.seconds:.0f} s</p></header>{alarms}',
+        _section("What is missing", writer.effects(diagnosis.effects) if diagnosis.effects else ""),
+        _section("What fits equally well", _tie(diagnosis, writer, choose)),
+        "" if settled else following,
+        _section(words["gap"][0], _gap_facts(diagnosis) + drawn.get("gap", "")),
+        _section(words["overlay"][0], drawn.get("overlay", "")),
+        _section(words["maps"][0], drawn.get("maps", "") + _views(diagnosis)),
+        _section(words["candidates"][0], drawn.get("candidates", "")),
+        _section("What remains", _remains(diagnosis)),
+        following if settled else "",
+        _section("Excitation", _excitation(diagnosis)),
+        _section("Findings", _items(diagnosis.findings)),
+        _section("The model's own parameters", writer.base(diagnosis, choose)),
+        _section("What was not found, and what would have been seen", _undetected(diagnosis)),
+        _section("The search", _rounds(diagnosis)),
+        _section("Files", _files(files)),
+    ]
+    return page(f"diagnosis: {diagnosis.verdict}", "\n".join(part for part in parts if part))

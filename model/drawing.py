@@ -1,0 +1,75 @@
+"""What all figures share: one style, colours, sizes and labels at fixed places, SVG text that is the same every time."""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Okabe and Ito's colours, told apart by colour-blind readers too
+BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
+DEGREES = 180.0 / math.pi
+POINTS = 1200  # of a curve
+TICKS = 5  # intervals between ticks, at most
+MARGINS = (0.62, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
+STYLE: Any = {
+    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"], "font.size": 9,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
+    "axes.titlesize": 9.5, "axes.titlelocation": "left", "axes.linewidth": 0.8, "axes.grid": True, "axes.axisbelow": True,
+    "grid.color": "#e6e8ec", "grid.linewidth": 0.7, "xtick.color": INK, "ytick.color": INK, "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5, "lines.linewidth": 1.4, "lines.solid_joinstyle": "round", "legend.frameon": False,
+    "legend.fontsize": 8.5, "svg.hashsalt": "bristle", "path.simplify": True,
+}  # fmt: skip
+
+
+def thin(n: int, points: int = POINTS) -> NDArray[np.intp]:
+    """Return at most `points` evenly spread indices of n samples."""
+    return np.unique(np.linspace(0, n - 1, min(n, points)).round().astype(np.intp))
+
+
+def svg(figure: Any, salt: str) -> str:
+    """Return a figure as an <svg> element; `salt` keeps the ids of different figures apart."""
+    from matplotlib import rc_context
+    from matplotlib.ticker import AutoLocator
+
+    for ax in figure.axes:  # ticks are most of what drawing costs
+        for axis in (ax.xaxis, ax.yaxis):
+            if isinstance(axis.get_major_locator(), AutoLocator):
+                axis.get_major_locator().set_params(nbins=TICKS)
+    out = io.StringIO()
+    with rc_context({"svg.hashsalt": f"bristle-{salt}"}):
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    text = out.getvalue()
+    return text[text.index("<svg") :]
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure of a size in inches."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    FigureCanvasSVG(figure)
+    # fixed margins in inches: a layout engine would measure every label twice
+    left, right, bottom, top = MARGINS
+    figure.subplots_adjust(left / width, bottom / height, 1 - right / width, 1 - top / height)
+    return figure
+
+
+def set_title(ax: Any, text: str, **style: Any) -> None:
+    """Set a title at a fixed height, which spares measuring what lies below it."""
+    ax.set_title(text, y=1.0, pad=5, **style)
+
+
+def set_labels(ax: Any, x: str | None = None, y: str | None = None) -> None:
+    """Name the axes, the labels at fixed distances in inches."""
+    width, height = (size * share for size, share in zip(ax.figure.get_size_inches(), ax.get_position().size, strict=True))
+    if x is not None:
+        ax.set_xlabel(x)
+        ax.xaxis.set_label_coords(0.5, -0.31 / height)
+    if y is not None:
+        ax.set_ylabel(y)
+        ax.yaxis.set_label_coords(-0.44 / width, 0.5)

@@ -1,0 +1,188 @@
+"""bristle diagnose as a user meets it; what it finds is made up here."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bristle import diagnosis
+from bristle.cli import main as cli
+from bristle.diagnosis import export
+from bristle.model.errors import BristleError
+
+ROOT = Path(__file__).resolve().parents[1]
+Call = Callable[..., tuple[int, str, str]]
+
+
+def _fabricated() -> Any:
+    spec = importlib.util.spec_from_file_location("bristle_tests_cli_fabricated", ROOT / "diagnosis" / "fabricated.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the engine was asked; set `case` to what it shall find."""
+    seen: dict[str, Any] = {"case": "named", "made": _fabricated()}
+
+    def engine(*arguments: Any, progress: Callable[[str, float], None]) -> Any:
+        progress("base fit", 0.1)
+        progress("candidates", 0.9)
+        seen["arguments"] = arguments
+        return seen["made"].CASES[seen["case"]]()
+
+    monkeypatch.setattr(diagnosis, "diagnose", engine, raising=False)
+    monkeypatch.setattr(diagnosis, "diagnose_fmu", engine, raising=False)
+    monkeypatch.setattr(diagnosis, "load_model", lambda path: f"model of {path.name}")
+    monkeypatch.setattr(diagnosis, "fmu_model", lambda path: f"model in {path.name}")
+    monkeypatch.setattr(diagnosis, "load_records", lambda model, paths: [model, *(path.name for path in paths)])
+    monkeypatch.setattr(export, "_build_plant", lambda augmented, out, fmi: out.write_bytes(b"plant"))
+    monkeypatch.setattr(export, "_correct", lambda *arguments: lambda out: out.write_bytes(b"correction"))
+    return seen
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Call]:
+    """Return what runs the command line in this process: (exit code, stdout, stderr)."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["bristle", *map(str, arguments)])
+        with pytest.raises(SystemExit) as done:
+            cli.main()
+        said = capsys.readouterr()
+        assert isinstance(done.value.code, int)
+        return done.value.code, said.out, said.err
+
+    yield run
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+def one_line(found: tuple[int, str, str], *words: str) -> None:
+    code, _, error = found
+    assert code == 2
+    assert len(error.splitlines()) == 1, error
+    for word in words:
+        assert word in error
+
+
+def test_it_says_what_it_found_and_where_the_report_is(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    code, said, error = call("diagnose", "m.toml", "--data", "a.csv", "--data", "b.csv", "--out", tmp_path / "out")
+    assert (code, error) == (0, "")
+    assert asked["arguments"] == ("model of m.toml", ["model of m.toml", "a.csv", "b.csv"])
+    lines = said.splitlines()
+    assert lines[0].startswith("Cogging explains the difference")
+    row = next(line for line in lines if "amplitude " in line)
+    assert row.split() == ["cogging", "amplitude", "0.06", "0.0582", "...", "0.0618", "N.m"]
+    assert lines[-1] == f"named  {tmp_path / 'out' / 'report.html'}"
+    assert sorted(os.listdir(tmp_path / "out")) == sorted(export.OURS)
+
+
+@pytest.mark.parametrize("case", ["tie", "none", "not_identifiable", "proposals"])
+def test_whatever_it_finds_it_completed(call: Call, asked: dict[str, Any], tmp_path: Path, case: str) -> None:
+    asked["case"] = case
+    code, said, error = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path)
+    assert (code, error) == (0, "")
+    assert "effect " not in said.splitlines()
+    assert "report.html" in said
+    for line in asked["made"].CASES[case]().proposals:
+        assert line in said
+
+
+def test_an_fmu_is_its_own_model_unless_there_is_one_beside_it(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    assert call("diagnose", "--fmu", "p.fmu", "--data", "a.csv", "--out", tmp_path)[0] == 0
+    assert asked["arguments"] == (Path("p.fmu"), "model in p.fmu", ["model in p.fmu", "a.csv"])
+    assert call("diagnose", "m.toml", "--fmu", "p.fmu", "--data", "a.csv", "--out", tmp_path)[0] == 0
+    assert asked["arguments"] == (Path("p.fmu"), "model of m.toml", ["model of m.toml", "a.csv"])
+
+
+def test_a_member_of_a_tie_is_chosen(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    asked["case"] = "tie"
+    code, _, error = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path, "--choose", "bias")
+    assert (code, error) == (0, "")
+    assert "[effects.bias]" in (tmp_path / "augmented.toml").read_text()
+
+
+def test_a_choice_that_cannot_be_costs_no_report(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    asked["case"] = "tie"
+    found = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path, "--choose", "gravity")
+    one_line(found, "--choose gravity", "bias, asymmetric_coulomb", str(tmp_path))
+    assert "report.html" in found[1]
+    assert sorted(os.listdir(tmp_path)) == ["diagnosis.json", "report.html"]
+
+
+def test_mistakes_are_one_line_before_time_is_spent(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    one_line(call("diagnose", "--data", "a.csv", "--out", tmp_path / "out"), "MODEL.toml", "--fmu")
+    one_line(call("diagnose", "m.toml", "--out", tmp_path / "out"), "--data")
+    one_line(call("diagnose", "m.toml", "--data", "a.csv"), "--out")
+    one_line(call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "out", "--choose", "honey"), "honey", "gravity")
+    one_line(call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "file"), "output folder")
+    assert "arguments" not in asked
+
+
+def test_an_error_leaves_what_was_there(call: Call, asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> None:
+        raise BristleError(f"{path}: friction missing; add it")
+
+    (tmp_path / "report.html").write_text("old")
+    monkeypatch.setattr(diagnosis, "load_model", refuse)
+    found = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path)
+    one_line(found, "m.toml: friction missing")
+    assert found[1] == ""
+    assert os.listdir(tmp_path) == ["report.html"]
+    assert (tmp_path / "report.html").read_text() == "old"
+
+
+def test_an_interrupt_is_said_and_changes_nothing(
+    call: Call, asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: Any, progress: Callable[[str, float], None]) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        progress("candidates", 0.5)
+
+    monkeypatch.setattr(cli, "_interrupts", [])
+    monkeypatch.setattr(diagnosis, "diagnose", interrupted, raising=False)
+    assert call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "out") == (2, "", "bristle: interrupted\n")
+    assert os.listdir(tmp_path / "out") == []
+
+
+def test_an_answer_that_cannot_be_written_is_said(
+    call: Call, asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(export, "write_file", full)
+    (tmp_path / "report.html").write_text("old")
+    found = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path)
+    one_line(found, "No space left")
+    assert "Cogging explains" in found[1]
+    assert "report.html" not in found[1]
+    assert os.listdir(tmp_path) == ["report.html"]
+
+
+def test_a_terminal_sees_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with cli._fraction("diagnose") as tell:
+        tell("candidates", 0.5)
+        tell("writing", 1.0)
+    assert "diagnose" in capsys.readouterr().err
+
+
+def test_list_names_the_effects(call: Call) -> None:
+    code, said, _ = call("list")
+    assert code == 0
+    assert "bias" in said
+    assert "constant torque (class bias/asymmetric_coulomb)" in said

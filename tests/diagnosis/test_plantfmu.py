@@ -1,0 +1,42 @@
+"""A plant FMU as a model: what it says of itself is enough, or it is said what is missing."""
+
+from __future__ import annotations
+
+import zipfile
+
+import pytest
+
+from bristle.diagnosis import fmu_model
+from bristle.fmus import obtain
+from bristle.model.errors import BristleError
+
+
+def test_an_augmented_plant_is_the_model_it_was_made_from():
+    given = {"J": 0.01, "b": 0.5, "coulomb.Fc": 0.12, "cogging.amplitude": 0.06}
+    model = fmu_model(obtain("plant", law="coulomb", effects=("cogging",), parameters=given))
+    assert (model.friction, model.input_kind, model.output.column) == ("coulomb", "voltage", "theta")
+    assert model.parameters == {"J": 0.01, "a2": 0.002, "b": 0.5, "coulomb.Fc": 0.12}
+    assert model.effects["cogging"]["amplitude"] == 0.06
+    assert model.effects.keys() == {"cogging"}
+
+
+@pytest.mark.parametrize("law", ["viscous", "modified"])
+def test_the_law_is_the_one_it_holds(law):
+    assert fmu_model(obtain("plant", law=law)).friction == law
+
+
+def test_of_all_laws_it_is_the_one_selected_at_the_start():
+    model = fmu_model(obtain("plant"))
+    assert model.friction == "coulomb"
+    assert set(model.parameters) == {"J", "a2", "b", "coulomb.Fc"}
+
+
+def test_what_says_too_little_is_refused_in_one_line(tmp_path):
+    with pytest.raises(BristleError, match=r"no parameter 'J' to scale by; give a MODEL\.toml"):
+        fmu_model(obtain("controller"))
+    with pytest.raises(BristleError, match="cannot be read"):
+        fmu_model(tmp_path / "nowhere.fmu")
+    with zipfile.ZipFile(tmp_path / "empty.fmu", "w"):
+        pass
+    with pytest.raises(BristleError, match="cannot be read"):
+        fmu_model(tmp_path / "empty.fmu")

@@ -1,0 +1,224 @@
+"""The report says what the diagnosis says, to a person, in the units of the rig, and in one file."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis.figures import Rig, draw, telling, view_name
+from bristle.diagnosis.report import interval, render
+from bristle.diagnosis.result import Estimate, Named, Trace
+
+CASES = ("named", "tie", "none", "not_identifiable", "proposals")
+VOID = {"meta", "img", "br"}
+
+
+class Balance(HTMLParser):
+    """Collects the text; every element must be closed in its turn."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text = [], []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.text.append(data)
+
+
+def text_of(page):
+    """Return what a reader sees, and check the tags on the way."""
+    parser = Balance()
+    parser.feed(page)
+    assert parser.open == []
+    return " ".join(" ".join(parser.text).split())
+
+
+def page_of(diagnosis, **more):
+    return render(diagnosis, {}, {"diagnosis.json": "numbers"}, **more)
+
+
+def svg_texts(svg):
+    """Return the texts of a figure, which matplotlib draws as curves with the text beside them as a comment."""
+    return re.findall(r"<!-- (.*?) -->", svg)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_verdict_makes_one_self_contained_page(answer, case):
+    diagnosis = answer(case)
+    page = render(diagnosis, draw(diagnosis), {})
+    text = text_of(page)
+    for line in (*diagnosis.statement, *diagnosis.findings, *diagnosis.proposals, diagnosis.experiment):
+        assert line in text
+    assert page.count("<img") == len(draw(diagnosis)) >= 2
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert not re.search(r"\bnan\b|\bNone\b|\binf\b", text)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_json_is_complete_and_holds_no_nan(answer, case):
+    content = json.loads(json.dumps(answer(case).to_dict(), allow_nan=False))
+    contract = {"verdict", "effects", "ties", "experiment", "where", "remains", "gap", "excitation"}
+    assert contract <= content.keys()
+
+
+def test_a_named_effect_comes_with_its_parameters_and_the_shrink(answer):
+    text = text_of(page_of(answer("named")))
+    assert "The model lacks cogging" in text
+    assert "amplitude amplitude of the first term 0.0600 ± 0.0018 N·m" in text
+    assert "shrank by 99.8 %" in text
+    assert "coulomb.Fc N·m 0.1 0.1270 ± 0.0038 0.12000 ± 0.00084" in text
+
+
+def test_excitation_is_a_table_in_words_with_its_caveats(answer):
+    text = text_of(page_of(answer("named")))
+    assert "time at rest 4 %" in text
+    assert "speed −6.1 … 5.9 rad/s" in text
+    assert "sampling period 0.002 s" in text
+    assert "Less than one turn" in text
+
+
+def test_a_parameter_at_its_bound_is_flagged(answer):
+    assert "at its bound" not in page_of(answer("named"))
+    assert "6 at its bound" in text_of(page_of(answer("not_identifiable")))
+
+
+def test_a_tie_says_what_separates_it_before_anything_else(answer):
+    diagnosis = answer("tie")
+    text = text_of(page_of(diagnosis))
+    assert "bias or asymmetric_coulomb" in text
+    assert text.index(diagnosis.experiment) < text.index("The gap")
+    assert "--choose NAME" in text
+    chosen = text_of(page_of(diagnosis, choose="bias"))
+    assert "Chosen by hand for the augmented model: bias" in chosen
+    assert "refitted with bias (chosen)" in chosen
+
+
+def test_what_remains_is_an_alarm_only_when_flagged(answer):
+    assert '<p class="alarm">Something remains: 41 %' in page_of(answer("none"))
+    assert "Something remains" not in page_of(answer("named"))
+
+
+def test_proposals_stand_above_all_figures(answer):
+    page = render(answer("proposals"), draw(answer("proposals")), {})
+    assert page.index("Mend this first") < page.index("<img")
+    assert "First mend the data" in page
+
+
+def test_what_could_not_be_written_is_said_at_the_top(answer):
+    text = text_of(page_of(answer("named"), notes=["augmented.fmu was not written: no compiler"]))
+    assert text.index("no compiler") < text.index("What is missing")
+
+
+def test_a_linear_axis_reads_in_metres_newtons_and_kilograms(answer):
+    diagnosis = answer("not_identifiable")
+    text = text_of(page_of(diagnosis))
+    assert "J kg 2 6" in text
+    assert "a2 N·s/m 8 7.0 ± 5.6" in text
+    assert not re.search(r"\brad\b|N·m\b", text)
+    texts = svg_texts(draw(diagnosis)["overlay"])
+    assert "position, mm" in texts
+    assert "error, mm" in texts
+    assert Rig.of(diagnosis).axis("theta") == (1e3, "position, mm")
+    assert Rig.of(diagnosis).axis("u") == (1.0, "input, N")
+
+
+def test_a_turning_axis_reads_in_degrees(answer):
+    figures = draw(answer("named"))
+    assert "position, deg" in svg_texts(figures["overlay"])
+    assert "residual torque, N·m" in svg_texts(figures["maps"])
+    assert "before: 0.164 deg" in svg_texts(figures["gap"])
+    assert Rig.of(replace(answer("named"), model=None)) == Rig(False, "torque", "position")
+
+
+def test_the_units_follow_the_input(answer, fabricated):
+    driven = fabricated.model(
+        parameters={"J": 0.01, "a2": 0.02, "b": 0.5, "Fc": 0.1}, input={"column": "i", "kind": "current", "unit": "A"}
+    )
+    zone = Named("dead_zone", "dead_zone", {"width": Estimate(0.3, "V", (0.28, 0.32))}, 50.0, 0.001)
+    text = text_of(page_of(replace(answer("named"), model=driven, effects=(zone,))))
+    assert "0.300 ± 0.020 A" in text
+
+
+def test_only_what_changed_has_a_before_and_an_after(answer):
+    assert "after: 0.019 deg" in svg_texts(draw(answer("named"))["gap"])
+    for case in ("none", "not_identifiable"):
+        assert not any(text.startswith(("after", "before")) for svg in draw(answer(case)).values() for text in svg_texts(svg))
+
+
+def test_bars_show_the_level_of_chance_and_the_best_first(answer):
+    texts = svg_texts(draw(answer("named"))["candidates"])
+    names = [text.split("  ")[0] for text in texts if "  " in text]
+    assert names[0] == "cogging"
+    assert "round 1: cogging added; 3 more gain less" in texts
+    assert "hard_stop  41  (stiffness at its bound)" in texts
+
+
+def test_a_name_from_outside_cannot_become_markup(answer):
+    bad = replace(answer("named"), findings=("<script>alert(1)</script>",), statement=("a < b",), undetected={"<b>": "&"})
+    page = page_of(bad)
+    assert "<script>" not in page
+    assert "a &lt; b" in page
+
+
+def test_figures_are_the_same_every_time(answer):
+    assert draw(answer("tie")) == draw(answer("tie"))
+
+
+def test_the_overlay_shows_where_it_was_worst():
+    time = np.arange(10_000) * 1e-3
+    still = np.zeros(10_000)
+    error = np.where((time > 6) & (time < 7), 1.0, 0.1)
+    error[::7] = np.nan
+    quiet = Trace("quiet", time, still, still, 0.2 * still, still, still > 0)
+    loud = Trace("loud", time, still, still, error, still, still > 0)
+    found = telling([quiet, loud], 2.0)
+    assert found is not None
+    trace, part = found
+    assert trace.name == "loud"
+    assert time[part][0] <= 6.0
+    assert time[part][-1] >= 6.99
+    assert len(time[part]) == 2000
+    assert telling([]) is None
+    assert telling([replace(loud, before=np.full(10_000, np.nan))]) is None
+
+
+def test_a_record_shorter_than_the_window_is_shown_whole(answer):
+    trace = answer("named").traces[0]
+    short = replace(trace, **{k: getattr(trace, k)[:300] for k in ("time", "input", "measured", "before", "after", "held_out")})
+    found = telling([short])
+    assert found is not None
+    assert found[1] == slice(0, 300)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "expected"),
+    [
+        (0.06, 0.0582, 0.0618, "0.0600 ± 0.0018"),
+        (-1.2, -2.3, -0.1, "−1.2 ± 1.1"),
+        (6e-4, -3e-4, 15e-4, "(6.0 ± 9.0)·10<sup>−4</sup>"),
+        (123456.0, 123356.0, 123556.0, "(1.2346 ± 0.0010)·10<sup>5</sup>"),
+        (1.0, 0.9, 2.0, '1.00 <span class="sub">[0.90 … 2.00]</span>'),
+        (5.0, 5.0, 5.0, "5"),
+        (5.0, float("-inf"), 6.0, "5"),
+        (0.0, -0.02, 0.02, "0.000 ± 0.020"),
+    ],
+)
+def test_an_interval_has_two_figures(value, low, high, expected):
+    assert interval(value, low, high) == expected
+
+
+def test_views_are_named_in_words():
+    assert view_name("theta x direction") == "position × sign of the velocity"
+    assert view_name("something new") == "something new"
