@@ -53,6 +53,8 @@ class Round:
     p: float
     added: str | None
     decision: str
+    gain: float = 0.0  # of the best one, under the noise that it leaves
+    size: float = 1.0  # factor by which it lowers the mean squared error
 
 
 @dataclass(frozen=True)

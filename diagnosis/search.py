@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, evidence, explore, follow
-from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit
+from bristle.diagnosis.fit import Fit, Free, Problem, refit
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
@@ -26,7 +26,8 @@ MOST = 4  # effects that are added
 PLAUSIBLE = 0.1  # share of the best gain after one step from which a candidate is refitted
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
-APART = 2.3  # standard errors between two candidates' likelihoods that keep them apart
+ODDS = 6.0  # nats between two candidates that keep them apart
+APART = 1.3  # standard errors of that difference that do
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 HELD = 4  # every fourth segment is kept from the search
 
@@ -143,11 +144,12 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     contenders = [c for c in reached if c.fit is not None and c.fit.total - fit.total > CONTENDER * gain]
     problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
     assert leader.fit is not None
-    plain = evaluate(problem, fit.simulator, fit.free, fit.values, fit.starts)
-    size = mean_square(plain, bench.held) / max(mean_square(leader.fit, bench.held), 1e-300)
-    ties = tuple(c.name for c in contenders if c.name != leader.name and _alike(leader, c, plain))
+    plain = refit(problem, fit.simulator, fit.free, fit.values, fit.starts)
+    gain = leader.fit.total - plain.total
+    size = mean_square(plain, bench.train) / max(mean_square(leader.fit, bench.train), 1e-300)
+    ties = tuple(c.name for c in contenders if c.name != leader.name and _alike(leader, c))
     table = {c.name: c for c in tried} | {c.name: c for c in contenders}
-    return Verdict(tuple(table.values()), null, fit.total, leader, gain, size, ties, "")
+    return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "")
 
 
 def _under_best_noise(
@@ -167,14 +169,14 @@ def _under_best_noise(
     return problem, leader, contenders
 
 
-def _alike(best: Candidate, other: Candidate, plain: Fit) -> bool:
+def _alike(best: Candidate, other: Candidate) -> bool:
     """True if the records do not tell two candidates apart. Source: vuong1989 (test of non-nested models)."""
     assert best.fit is not None
     assert other.fit is not None
     live = best.fit.weight > 0
     difference = (best.fit.score - other.fit.score)[live]
     error = np.std(difference) * np.sqrt(len(difference)) + 1e-9
-    return bool((best.merit - other.merit) < APART * error and best.merit - other.merit < 0.5 * (best.fit.total - plain.total))
+    return bool(best.merit - other.merit < max(ODDS, APART * error))
 
 
 def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:

@@ -222,4 +222,4 @@ def _round(v: Verdict) -> answer.Round:
         bars.append(answer.Candidate(c.name, gain, 0.0, c.refused))
     bars.sort(key=lambda bar: -bar.gain)
     added = v.best.name if v.best and "added" in v.decision else None
-    return answer.Round(tuple(bars), v.null.level, v.null.p(v.gain), added, v.decision)
+    return answer.Round(tuple(bars), v.null.level, v.null.p(v.gain), added, v.decision, v.gain, v.size)

@@ -56,7 +56,8 @@ EXPORT long long batch_run(Core *c, long long n, double h, int n_inputs, const i
  * n_segments x n_set) and their followers move along; all other states carry on from the segment before. The observed
  * output and its derivatives by the chosen parameters are averaged over `width` steps.
  * set[i]: index among the states; column[i]: its start parameter among the sensitivities; leader[j]: place in set[] of
- * the state that state j follows, or -1. seen (n_segments, bins), sens (n_segments, bins, parameters) or 0;
+ * the state that state j follows, or -1. The first of the set is what the sensor shows: it starts such that the observed
+ * output is the value given. seen (n_segments, bins), sens (n_segments, bins, parameters) or 0;
  * good[k] = 0 where the simulation failed. Returns the number of segments that did not fail. */
 EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int width, double h, int n_inputs, const int *inputs,
                                 const double *values, int n_set, const int *set, const int *column, const int *leader,
@@ -77,12 +78,19 @@ EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int wid
             c->v[a->states[set[i]]] = starts[k * n_set + i];
             for (int q = 0; q < Q; q++) s[set[i] * Q + q] = q == column[i];
         }
+        for (int i = 0; i < 3; i++) { /* fixed point: the sensor shows nearly its state */
+            core_outputs(c);
+            c->v[a->states[set[0]]] += starts[k * n_set] - c->v[observed];
+        }
+        a->seen_jacobian(c->v, 0.0, jacobian);
+        for (int q = 0; q < Q; q++)
+            s[set[0] * Q + q] = ((q == column[0]) - (q == column[0] ? 0.0 : jacobian[n + q])) / jacobian[set[0]];
         for (int j = 0; j < n; j++) {
             const int from = leader[j] >= 0 ? set[leader[j]] : -1;
             for (int i = 0; i < n_set; i++)
                 if (j != set[i]) s[j * Q + column[i]] = 0.0; /* what the last start left behind is not this one's doing */
             if (from < 0) continue;
-            c->v[a->states[j]] += starts[k * n_set + leader[j]] - old[from];
+            c->v[a->states[j]] += c->v[a->states[from]] - old[from];
             for (int q = 0; q < Q; q++) s[j * Q + q] += s[from * Q + q] - (q == column[leader[j]] ? 0.0 : moved[from * Q + q]);
         }
         int code = CORE_OK;
