@@ -48,7 +48,7 @@ AXES = {  # first part of a view -> name and kind of quantity
     "theta": ("position", "angle"), "v": ("velocity", "speed"), "a": ("acceleration", "acceleration"),
     "u": ("input", "input"), "du": ("rate of the input", "input rate"), "t": ("time", "time"),
     "history": ("travel since the last reversal", "angle"), "direction": ("sign of the velocity", "none"),
-    "frequency": ("frequency", "frequency"), "tone": ("frequency", "frequency"),
+    "frequency": ("frequency", "frequency"), "tone": ("tone in time", "time"),
 }  # fmt: skip
 
 
@@ -57,11 +57,11 @@ def shown(unit: str) -> tuple[float, str]:
     return SHOWN.get(unit, (1.0, unit))
 
 
-def view_name(view: str) -> str:
-    """Return a view in words: "theta x direction" is the position with the sign of the velocity."""
+def view_name(view: str, label: str = "") -> str:
+    """Return a view in words, with what was found in it: "theta", "7 in a turn" is position (7 in a turn)."""
     first, _, second = view.partition(" x ")
     names = [AXES.get(part, (part, ""))[0] for part in (first, second) if part]
-    return " × ".join(names)
+    return " × ".join(names) + (f" ({label})" if label else "")
 
 
 @dataclass(frozen=True)
@@ -277,8 +277,6 @@ def _maps(views: Sequence[View], rig: Rig, both: bool) -> Any:
 
 def _map(ax: Any, view: View, rig: Rig, both: bool) -> None:
     factor, label = rig.axis(view.view)
-    if view.label:
-        factor, label = 1.0, view.label
     x = factor * view.centres
     many = np.atleast_2d(view.before).shape[0] > 1
     for row, before in enumerate(np.atleast_2d(view.before)):
@@ -292,7 +290,7 @@ def _map(ax: Any, view: View, rig: Rig, both: bool) -> None:
     ax.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
     ax.legend(loc="upper left", ncols=2, fontsize=8, handlelength=1.8, columnspacing=1.0, borderaxespad=0.2)
     share = f"{100 * view.share:.0f} %" + (f" → {100 * view.share_after:.0f} %" if both else "")
-    set_title(ax, f"{view_name(view.view)}: {share} of the residual")
+    set_title(ax, f"{view_name(view.view, view.label)}: {share} of the residual")
     set_labels(ax, x=label)
 
 

@@ -173,10 +173,10 @@ def _remains(diagnosis: Diagnosis) -> str:
 
 
 def _views(diagnosis: Diagnosis) -> str:
-    rows = [
-        (escape(view_name(v.view)), f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2))
-        for v in diagnosis.where
-    ]
+    rows = []
+    for v in diagnosis.where:
+        name = escape(view_name(v.view, v.label))
+        rows.append((name, f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2)))
     kept = 5 if improved(diagnosis) else 3
     head = ("view", "share before", "p", "share after", "p")
     return table(head[:kept], [row[:kept] for row in rows], (1, 2, 3, 4)) if rows else ""

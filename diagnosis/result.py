@@ -61,7 +61,7 @@ class Round:
 class View:
     """Share of the residual torque that is predictable from a view, before and after; p of the share before.
 
-    `x` and `y` (optional second coordinate) label the map; `before` and `after` are residual torques in the bins of
+    `label` says what was found in it, such as "7 in a turn"; `before` and `after` are residual torques in the bins of
     `centres` (two arrays for views with a direction: forward, backward).
     """
 

@@ -221,4 +221,5 @@ def test_an_interval_has_two_figures(value, low, high, expected):
 
 def test_views_are_named_in_words():
     assert view_name("theta x direction") == "position × sign of the velocity"
+    assert view_name("theta", "7 in a turn") == "position (7 in a turn)"
     assert view_name("something new") == "something new"
