@@ -210,11 +210,15 @@ def nominal(rng: Generator, scene: Scene, variant: str) -> Fields:
     return given
 
 
+def bounds_of(given: Fields) -> dict[str, tuple[float, float]]:
+    """Return how far each parameter may move."""
+    return {name: (0.0 if name == "a2" else 0.2 * value, 5 * value) for name, value in given.items()}
+
+
 def model_text(given: Fields) -> str:
     """Return the model file of a case."""
-    bounds = {name: [0.0 if name == "a2" else 0.2 * value, 5 * value] for name, value in given.items()}
     lines = ['friction = "coulomb"', "[parameters]", *(f"{name} = {value:.6g}" for name, value in given.items())]
-    lines += ["[bounds]", *(f"{name} = [{low:.6g}, {high:.6g}]" for name, (low, high) in bounds.items())]
+    lines += ["[bounds]", *(f"{name} = [{low:.6g}, {high:.6g}]" for name, (low, high) in bounds_of(given).items())]
     lines += ["[time]", 'column = "t"', 'unit = "s"']
     lines += ["[input]", 'column = "u"', 'kind = "torque"', 'unit = "N.m"']
     lines += ["[output]", 'column = "theta"', 'kind = "position"', 'unit = "rad"', f"resolution = {RESOLUTION!r}"]
@@ -254,9 +258,9 @@ def _answer(spec: Spec, names: Sequence[str], scene: Scene, found: Found, varian
     }
 
 
-def _names(rng: Generator, spec: Spec, attempt: int) -> tuple[str, ...]:
+def _names(rng: Generator, spec: Spec, attempt: int, shapes: int) -> tuple[str, ...]:
     """Return what the plan asks for, or what takes its place after some attempts in vain."""
-    if attempt < SHAPES or spec.kind == "control":
+    if attempt < shapes or spec.kind == "control":
         return spec.names
     if spec.kind == "outside":
         return (str(rng.choice(list(OUTSIDE))),)
@@ -264,12 +268,12 @@ def _names(rng: Generator, spec: Spec, attempt: int) -> tuple[str, ...]:
     return (first, _partner(rng, first)) if spec.kind == "pair" else (first,)
 
 
-def draw(commit: str, spec: Spec) -> Case:
-    """Draw a case; what did not reach its gap ratio is listed in the answer under `rejected`."""
+def draw(commit: str, spec: Spec, shapes: int = SHAPES) -> Case:
+    """Draw a case; what did not reach its gap ratio in `shapes` attempts is listed in the answer under `rejected`."""
     rng = np.random.default_rng(seed_of(commit, spec.index))
     rejected: list[str] = []
     for attempt in range(REDRAWS):
-        names = _names(rng, spec, attempt)
+        names = _names(rng, spec, attempt, shapes)
         alone: list[float] = []
         found: Found | None = None
         variant = names[0] if spec.kind in ("control", "outside") else None

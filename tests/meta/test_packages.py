@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PACKAGES = PROJECT["tool"]["setuptools"]["packages"]
 FOLDERS = PROJECT["tool"]["setuptools"]["package-dir"]
+TEST_DATA = {ROOT / "scenarios" / "hidden"}  # records, which stay out of the wheel
 ALLOWED = {
     "model": {"model"},
     "plant": {"plant", "model"},
@@ -97,7 +98,8 @@ def test_the_wheel_holds_every_file_of_every_room(wheel):
     expected = set()
     for room in [*ALLOWED, "scenarios"]:
         for path in (ROOT / room).rglob("*"):
-            if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith("."):
+            kept_out = "__pycache__" in path.parts or path.name.startswith(".") or TEST_DATA & {*path.parents}
+            if path.is_file() and not kept_out:
                 expected.add(f"bristle/{path.relative_to(ROOT).as_posix()}")
     assert {"bristle/model/c/core.c", "bristle/model/c/core.h", "bristle/model/c/batch.c"} <= expected
     assert expected <= names, f"missing in the wheel, list them in pyproject.toml: {sorted(expected - names)}"
@@ -107,6 +109,7 @@ def test_the_wheel_holds_nothing_else(wheel):
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"bristle"}
     assert len(tops) == 2
+    assert not [name for name in zipfile.ZipFile(wheel).namelist() if name.endswith(".npz")]
 
 
 def test_every_module_of_the_wheel_imports_from_the_wheel(wheel, tmp_path):
