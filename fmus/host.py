@@ -1,4 +1,4 @@
-"""FMUs as the harness sees them: what the modelDescription says, and a loaded instance."""
+"""FMUs as a host sees them: what the modelDescription says, and a loaded instance."""
 
 from __future__ import annotations
 
