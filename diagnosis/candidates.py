@@ -60,6 +60,8 @@ class Candidate:
     name: str
     fit: Fit | None
     banks: tuple[Array, ...] = ()
+    promised: float = -np.inf  # log-likelihood that the first step promises
+    rivals: tuple[Fit, ...] = ()  # other starts
     refused: str = ""
 
     @property
@@ -108,7 +110,7 @@ def starts(name: str, e: Evidence) -> list[dict[str, float]]:
 
 
 def explore(problem: Problem, servo: Servo, name: str, fit: Fit, lens: Lens, e: Evidence) -> Candidate:
-    """Try an effect from all its starts and take one step from the most promising ones; `follow` goes on from there."""
+    """Try an effect from all its starts; where it stands then is the most promising one, and `follow` goes on from there."""
     try:
         simulator = servo.simulator(fit.simulator.segments, (name,))
     except BristleError as error:
@@ -123,8 +125,13 @@ def explore(problem: Problem, servo: Servo, name: str, fit: Fit, lens: Lens, e: 
         banks.append(_bank(lens, fit, first, len(free)))
         trials.append((first.total + promise(problem, first), first))
     trials.sort(key=lambda trial: -trial[0])
-    steps = [refit(problem, simulator, t.free, t.values, t.starts, iterations=1, first=t) for _, t in trials[:FINALISTS]]
-    return Candidate(name, max(steps, key=lambda t: t.total), tuple(banks))
+    return Candidate(name, trials[0][1], tuple(banks), trials[0][0], tuple(first for _, first in trials[1:FINALISTS]))
+
+
+def advance(problem: Problem, candidate: Candidate) -> Candidate:
+    """Take one step from each of the most promising starts and stand at the better end."""
+    ends = [refit(problem, t.simulator, t.free, t.values, t.starts, 1, t) for t in (candidate.fit, *candidate.rivals) if t]
+    return replace(candidate, fit=max(ends, key=lambda t: t.total), rivals=())
 
 
 def follow(problem: Problem, candidate: Candidate) -> Candidate:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, evidence, explore, follow
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow
 from bristle.diagnosis.fit import Fit, Free, Problem, refit
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
@@ -23,11 +23,12 @@ Mask = NDArray[np.bool_]
 
 SETTLE = 3  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
-PLAUSIBLE = 0.1  # share of the best gain after one step from which a candidate is refitted
+HOPE = 0.7  # of the null's level: a search that promises less is over
+HOPELESS = 40.0  # nats: promises beyond this are followed whatever the null says
+PLAUSIBLE = 0.1  # share of the best gain promised, and after one step, from which a candidate is refitted
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
-APART = 1.3  # standard errors of that difference that do
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 HELD = 4  # every fourth segment is kept from the search
 
@@ -83,6 +84,7 @@ class Verdict:
     size: float
     ties: tuple[str, ...]
     decision: str
+    named: bool = False
 
 
 def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
@@ -129,15 +131,21 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
         tell(name, i / max(len(names), 1))
         tried.append(explore(stage.problem, stage.servo, name, fit, lens, e))
     reached = [c for c in tried if c.fit is not None]
+    nothing = Verdict(tuple(tried), Null(np.zeros(1)), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     if not reached:
-        return Verdict(tuple(tried), Null(np.zeros(1)), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
-    best = max(c.fit.total for c in reached if c.fit) - fit.total
+        return nothing
+    banks = [bank for c in reached for bank in c.banks]
+    loud = largest_gain(banks, lens.rest, fit.weight)  # with all that is missing still in the residual: an upper bound
+    promised = max(c.promised for c in reached) - fit.total
+    if promised < HOPE * loud.level and promised < HOPELESS:
+        return replace(nothing, null=loud, gain=max(promised, 0.0), decision="no gain above what chance gives")
+    tried = [advance(stage.problem, c) if c.fit and c.promised - fit.total > PLAUSIBLE * promised else c for c in tried]
+    best = max(c.fit.total for c in tried if c.fit) - fit.total
     tried = [follow(stage.problem, c) if c.fit and c.fit.total - fit.total > PLAUSIBLE * best else c for c in tried]
     reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None
     gain = leader.fit.total - fit.total
-    banks = [bank for c in reached for bank in c.banks]
     null = largest_gain(banks, lens.freed(leader.fit.white[:, :, None])[:, :, 0], fit.weight)
     if gain <= null.level or leader.merit <= Candidate("", fit).merit:
         return Verdict(tuple(tried), null, fit.total, None, gain, 1.0, (), "no gain above what chance gives")
@@ -148,7 +156,8 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     gain = leader.fit.total - plain.total
     size = mean_square(plain, bench.train) / max(mean_square(leader.fit, bench.train), 1e-300)
     ties = tuple(c.name for c in contenders if c.name != leader.name and _alike(leader, c))
-    table = {c.name: c for c in tried} | {c.name: c for c in contenders}
+    told = [replace(c, refused="{:.1f} +- {:.1f}".format(*apart(leader, c))) for c in contenders]
+    table = {c.name: c for c in tried} | {c.name: c for c in told}
     return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "")
 
 
@@ -169,14 +178,20 @@ def _under_best_noise(
     return problem, leader, contenders
 
 
-def _alike(best: Candidate, other: Candidate) -> bool:
-    """True if the records do not tell two candidates apart. Source: vuong1989 (test of non-nested models)."""
+def apart(best: Candidate, other: Candidate) -> tuple[float, float]:
+    """Return by how much the best candidate is likelier than another [nats] and the standard error of that.
+
+    Source: vuong1989 (test of non-nested models).
+    """
     assert best.fit is not None
     assert other.fit is not None
-    live = best.fit.weight > 0
-    difference = (best.fit.score - other.fit.score)[live]
-    error = np.std(difference) * np.sqrt(len(difference)) + 1e-9
-    return bool(best.merit - other.merit < max(ODDS, APART * error))
+    difference = (best.fit.score - other.fit.score)[best.fit.weight > 0]
+    return best.merit - other.merit, float(np.std(difference) * np.sqrt(len(difference)))
+
+
+def _alike(best: Candidate, other: Candidate) -> bool:
+    """True if the records do not tell two candidates apart."""
+    return apart(best, other)[0] < ODDS
 
 
 def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
@@ -206,7 +221,7 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         if any(group(name) != group(verdict.best.name) for name in verdict.ties):
             rounds[-1] = replace(verdict, decision="several effects explain it alike")
             break
-        rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added")
+        rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
         if len(taken) >= MOST:

@@ -84,20 +84,25 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
 
 def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str]]:
     """Return waves whose frequency is chosen by the residual: in time and along the position, with a label."""
-    n = rough.shape[1]
-    skip = lens.shape[1] // n
+    skip = lens.shape[1] // rough.shape[1]
     middle = np.arange(len(m.time)).reshape(-1, skip)[:, skip // 2]
-    r, found = rough.ravel(), {}
-    time, theta = m.time[middle], m.theta[middle]
-    tones = np.arange(*TONES, 0.25 / max(float(np.ptp(m.time)), 1.0))
-    for view, frequencies, phase, unit in (
-        ("tone", tones, time, "Hz"),
-        ("theta", np.arange(1.0, PERIODS + 1), theta / (2 * np.pi), "in a turn"),
+    r, time, theta = rough.ravel(), m.time[middle], m.theta[middle]
+    step = float(np.median(np.diff(time)))
+    place = np.rint((time - time.min()) / step).astype(int)
+    even = np.zeros(int(place.max()) + 1)
+    even[place] = r
+    size = 4 * len(even)
+    frequency = np.fft.rfftfreq(size, step)
+    power = np.abs(np.fft.rfft(even, size)) * ((frequency >= TONES[0]) & (frequency <= TONES[1]))
+    tone = float(frequency[int(np.argmax(power))])
+    turns = np.arange(1.0, PERIODS + 1)
+    periods = float(turns[int(np.argmax(np.abs(np.exp(-1j * np.outer(turns, theta)) @ r)))])
+    found = {}
+    for view, angle, label in (
+        ("tone", 2 * np.pi * tone * m.time, f"{tone:.3g} Hz"),
+        ("theta", periods * m.theta, f"{periods:.3g} in a turn"),
     ):
-        power = np.array([abs(np.exp(-2j * np.pi * f * phase) @ r) for f in frequencies])
-        best = float(frequencies[int(np.argmax(power))])
-        angle = 2 * np.pi * best * (m.time if view == "tone" else m.theta / (2 * np.pi))
-        found[view] = (np.column_stack([np.sin(angle), np.cos(angle)]), f"{best:.3g} {unit}")
+        found[view] = (np.column_stack([np.sin(angle), np.cos(angle)]), label)
     return found
 
 
@@ -144,3 +149,27 @@ def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -
     return fall
 
 
+
+
+def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, object]:
+    """Return the residual torques (samples,) averaged in bins of a view, as the fields of `result.View`."""
+    along, _, side = view.partition(" x ")
+    x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "theta": m.theta}.get(along, m.time)
+    way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)
+    groups = [m.moving] if way is None else [m.moving & (way > 0), m.moving & (way < 0)]
+    edges = np.linspace(*np.quantile(x, [0.002, 0.998]), bins + 1)
+    if not edges[-1] > edges[0]:
+        return {}
+    place = np.digitize(x, edges) - 1
+    lines = [[_averages(place, r, g, bins) for g in groups] for r in (before, after)]
+    names = () if way is None else ("forward", "backward") if side in ("direction", "v") else (f"{side} > 0", f"{side} < 0")
+    return {
+        "centres": (edges[1:] + edges[:-1]) / 2, "before": np.array(lines[0]), "after": np.array(lines[1]), "lines": names
+    }  # fmt: skip
+
+
+def _averages(place: NDArray[np.int_], values: Array, mask: NDArray[np.bool_], bins: int) -> Array:
+    inside = mask & (place >= 0) & (place < bins)
+    count = np.bincount(place[inside], minlength=bins)
+    total = np.bincount(place[inside], weights=values[inside], minlength=bins)
+    return np.where(count >= 5, total / np.maximum(count, 1), np.nan)

@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
+from bristle.diagnosis import story
 from bristle.diagnosis.candidates import RIGID
+from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, refit
 from bristle.diagnosis.intake import Record
-from bristle.diagnosis.lens import Lens, motion
+from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, mean_square, search, settle
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
-from bristle.diagnosis.views import Share, shares
+from bristle.diagnosis.views import Share, residual_map, shares
 from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
@@ -27,7 +29,7 @@ STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 LEFT = 0.12  # share of the residual that a view must predict before it is called a missing effect
 CERTAIN = 0.01
-LONGEST = 60_000  # samples that are looked at in one go
+MAPS = 6  # views whose residual is drawn
 
 
 def bench_of(model: Model, records: Sequence[Record], values: Mapping[str, float]) -> Bench:
@@ -92,15 +94,14 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
 def _conclude(
     model: Model, records: Sequence[Record], bench: Bench, base: Stage, final: Stage, rounds: list[Verdict], begun: float
 ) -> answer.Diagnosis:
-    whole = _whole(bench, final)
-    before, after, lens = _views(bench, base, final)
-    tie = rounds[-1].ties if rounds[-1].best and "alike" in rounds[-1].decision else ()
-    named = final.servo.effects
-    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties]
-    verdict = "named" if named else "tie" if tie else "none"
-    gap = _gap(model, bench, base, final)
-    remains = _remains(after)
+    whole, plain = _whole(bench, final), estimates(model, _whole(bench, base))
+    where, after = _views(bench, base, final)
+    last = rounds[-1]
+    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if (v.best and v.ties and v.named) or (v is last and v.ties)]
+    verdict = _verdict(final, last)
+    gap, remains = _gap(model, bench, base, final), _remains(after)
     intervals = estimates(model, whole)
+    named = final.servo.effects[len(model.effects) :]
     effects = tuple(
         answer.Named(
             name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
@@ -108,25 +109,59 @@ def _conclude(
         )
         for name, v in zip(named, rounds, strict=False)
     )  # fmt: skip
+    own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
+    choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in _open(last) and c.fit} if not named else {}
     return answer.Diagnosis(
         verdict=verdict,
-        statement=(),
+        statement=story.statement(verdict, effects, ties, gap, remains, intervals),
         effects=effects,
         ties=tuple(ties),
-        experiment="",
-        where=tuple(answer.View(b.view, b.share, b.p, a.share, a.p, b.label) for b, a in _paired(before, after)),
+        experiment=story.experiment(ties, remains),
+        where=where,
         remains=remains,
         gap=gap,
-        excitation={},
+        excitation=excitation(model, records),
         findings=tuple(f for r in records for f in r.findings),
-        base=estimates(model, _whole(bench, base)),
-        parameters={k: v for k, v in intervals.items() if "." not in k or k.startswith(model.friction)},
+        base=plain,
+        parameters=own,
         rounds=tuple(_round(v) for v in rounds),
-        undetected={},
-        traces=(),
+        undetected=story.undetected(last.candidates, last.null, named, model),
+        traces=_traces(bench, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,
+        choices={n: {k.removeprefix(f"{n}."): v for k, v in e.items() if k.startswith(f"{n}.")} for n, e in choices.items()},
+        choice_parameters={n: {k: v for k, v in e.items() if not k.startswith(f"{n}.")} for n, e in choices.items()},
     )
+
+
+def _open(verdict: Verdict) -> tuple[str, ...]:
+    """Return the members of a tie that was not resolved."""
+    return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and verdict.ties and not verdict.named else ()
+
+
+def _verdict(final: Stage, last: Verdict) -> str:
+    if final.servo.effects:
+        return "named"
+    classes = {group(name) for name in _open(last)}
+    if not classes:
+        return "none"
+    return "tie" if len(classes) <= story.MANY else "not_identifiable"
+
+
+def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
+    """Return what was measured and simulated, an average a bin, record by record."""
+    s, first, traces = bench.segments, 0, []
+    for piece in s.pieces:
+        n = len(piece.seen)
+        part = slice(first, first + n)
+        time_ = piece.time + s.h * (s.width * np.arange(n * s.bins) + (s.width - 1) / 2)
+        held = np.repeat(bench.held[part], s.bins)
+        simulated = [(piece.seen - fit.residual[part]).ravel() for fit in (before, after)]
+        traces.append(
+            answer.Trace(piece.name, time_, piece.u.reshape(-1, s.width).mean(axis=1), piece.seen.ravel(), *simulated, held)
+        )
+        first += n
+    return tuple(traces)
 
 
 def _whole(bench: Bench, stage: Stage) -> Fit:
@@ -166,28 +201,25 @@ def estimates(model: Model, fit: Fit) -> dict[str, answer.Estimate]:
     return found
 
 
-def _views(bench: Bench, base: Stage, final: Stage) -> tuple[list[Share], list[Share], Lens]:
-    """Return the shares of all views before and after, both as the final noise sees them."""
-    lens = lens_of(final, bench)
-    step = bench.resolution
-    after = shares(lens, bench.motion, bench.segments.h, step, _rough(bench, lens, final.fit))
-    if base.fit is final.fit:
-        return after, after, lens
+def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, ...], list[Share]]:
+    """Return the views before and after, both as the final noise sees them, with maps; and the shares after."""
     plain = evaluate(final.problem, base.fit.simulator, base.fit.free, base.fit.values, base.fit.starts)
-    first = lens_of(Stage(base.servo, final.problem, plain), bench)
-    before = shares(first, bench.motion, bench.segments.h, step, _rough(bench, first, plain))
-    return before, after, lens
-
-
-def _rough(bench: Bench, lens: Lens, fit: Fit) -> Array:
-    torque = lens.torque(fit)
-    s = bench.segments
-    return np.asarray(torque.reshape(len(torque), s.bins, s.width).mean(axis=2)) * (fit.weight > 0)[:, None]
-
-
-def _paired(before: list[Share], after: list[Share]) -> list[tuple[Share, Share]]:
+    stages = (Stage(base.servo, final.problem, plain), final)
+    found, torques = [], []
+    for stage in stages:
+        lens = lens_of(stage, bench)
+        torque = lens.torque(stage.fit) * (stage.fit.weight > 0)[:, None]
+        rough = torque.reshape(len(torque), bench.segments.bins, -1).mean(axis=2)
+        found.append(shares(lens, bench.motion, bench.segments.h, bench.resolution, rough))
+        torques.append(torque.ravel())
+    before, after = found
     table = {share.view: share for share in after}
-    return [(share, table[share.view]) for share in before]
+    views = []
+    for share in before:
+        late = table[share.view]
+        drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if len(views) < MAPS else {}
+        views.append(answer.View(share.view, share.share, share.p, late.share, late.p, share.label, **drawn))
+    return tuple(views), after
 
 
 def _remains(after: list[Share]) -> answer.Remains:
@@ -221,5 +253,5 @@ def _round(v: Verdict) -> answer.Round:
         gain = c.fit.total - v.base if c.fit else 0.0
         bars.append(answer.Candidate(c.name, gain, 0.0, c.refused))
     bars.sort(key=lambda bar: -bar.gain)
-    added = v.best.name if v.best and "added" in v.decision else None
+    added = v.best.name if v.best and v.named else None
     return answer.Round(tuple(bars), v.null.level, v.null.p(v.gain), added, v.decision, v.gain, v.size)

@@ -20,7 +20,7 @@ def bristles(c: Context) -> tuple[ca.SX, ca.SX]:
 def displacements(e: Evidence) -> list[float]:
     """Return displacements [rad] at which bristles may slide: from half a step of the sensor to a tenth of the range."""
     widest = max(0.1 * float(np.ptp(e.theta)), 20 * e.resolution)
-    return [float(x) for x in np.geomspace(0.5 * e.resolution, widest, 6)]
+    return [float(x) for x in np.geomspace(0.5 * e.resolution, widest, 5)]
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:

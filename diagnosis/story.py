@@ -1,0 +1,117 @@
+"""The answer in sentences: what was found, how sure that is, what to measure next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from bristle.diagnosis.candidates import Candidate
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.null import Null
+from bristle.diagnosis.result import Estimate, Gap, Named, Remains
+from bristle.plant.effects import effect as find_effect
+
+SEPARATE = {  # what tells effects of one class apart
+    frozenset({"bias", "asymmetric_coulomb"}): "let it rest and raise the torque slowly until it breaks away, in both directions: "
+    "a constant torque shifts both break-away torques the same way, friction that differs by direction does not act at rest",
+    frozenset({"input_delay", "electrical_pole"}): "drive it with a sweep to ever higher frequencies: the phase lag of a dead time "
+    "grows without limit, that of the winding ends at a quarter period",
+    frozenset({"presliding", "bristle_damping"}): "add small, fast motion that never breaks away: only damping makes it lose energy",
+}
+UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
+MANY = 3  # classes in a tie from which on the records name nothing
+
+
+def words(name: str) -> str:
+    """Return an effect's description in words."""
+    return find_effect(name).description
+
+
+def experiment(ties: Sequence[Sequence[str]], remains: Remains) -> str:
+    """Return what to measure next, or an empty text."""
+    lines = []
+    for tie in ties:
+        known = SEPARATE.get(frozenset(tie))
+        each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)
+        lines.append(f"To tell {' and '.join(tie)} apart: {known or each}.")
+    if remains.flag:
+        lines.append(f"Record more motion that varies {remains.view}, and nothing else, to see what remains there.")
+    return " ".join(lines)
+
+
+def undetected(candidates: Sequence[Candidate], null: Null, named: Sequence[str], model: Model) -> dict[str, str]:
+    """Return for each effect that was not found how large it may be without being seen."""
+    found: dict[str, str] = {}
+    for c in candidates:
+        if c.name in named:
+            continue
+        if c.fit is None:
+            found[c.name] = c.refused
+            continue
+        found[c.name] = _limit(c, null, model)
+    return found
+
+
+def _limit(c: Candidate, null: Null, model: Model) -> str:
+    effect = find_effect(c.name)
+    needs = f"needs {effect.excitation}"
+    strength = effect.parameters[0]
+    if c.fit is None or not strength.minimum <= 0 <= strength.maximum or strength.name not in [f.name for f in c.fit.free]:
+        return f"no trace; {needs}"
+    place = [f.name for f in c.fit.free].index(strength.name)
+    spread = float(np.linalg.pinv(c.fit.information, rcond=1e-12, hermitian=True)[place, place])
+    limit = math.sqrt(2 * null.level * max(spread, 0.0))
+    if not math.isfinite(limit) or limit == 0 or limit > min(strength.maximum, 1e5):
+        return f"these records cannot show it: it {needs}"
+    unit = model.unit(strength.name)
+    return f"a {strength.description} above {limit:.2g}{'' if unit == '1' else ' ' + unit} would have been seen"
+
+
+def value(e: Estimate) -> str:
+    """Return an estimate with its interval."""
+    unit = "" if e.unit == "1" else f" {e.unit}"
+    if e.ci95 is None or not all(math.isfinite(x) for x in e.ci95):
+        return f"{e.value:.4g}{unit} (uncertain)"
+    return f"{e.value:.4g}{unit} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
+
+
+def statement(
+    verdict: str,
+    effects: Sequence[Named],
+    ties: Sequence[Sequence[str]],
+    gap: Gap,
+    remains: Remains,
+    base: Mapping[str, Estimate],
+) -> tuple[str, ...]:
+    """Return the answer, one sentence or two a line."""
+    lines = []
+    for e in effects:
+        found = ", ".join(f"{name} {value(estimate)}" for name, estimate in e.parameters.items())
+        lines.append(f"Missing: {words(e.name)} ({e.name}); {found}; by chance {e.p:.2g} or less.")
+    for tie in ties:
+        whole = " and ".join(tie) if len(tie) == 2 else ", ".join(tie)
+        lines.append(f"These records do not tell {whole} apart.")
+    if verdict == "none":
+        lines.append("No effect explains more than chance or than what would matter.")
+    if verdict == "not_identifiable":
+        lines.append("Something is missing, but too many effects explain it alike: these records do not name it.")
+    rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
+    unit = gap.unit.removesuffix(")2").removeprefix("(")
+    if effects:
+        lines.append(
+            f"On stretches kept from the search the rms error of the output falls from {rms[0]:.3g} to {rms[1]:.3g} {unit}; "
+            f"disturbance and sensor alone give {rms[2]:.3g} {unit}."
+        )
+    else:
+        lines.append(f"The rms error of the output is {rms[0]:.3g} {unit} with refitted parameters; "
+                     f"disturbance and sensor alone would give {rms[2]:.3g} {unit}.")  # fmt: skip
+    if remains.flag:
+        lines.append(
+            f"Something remains that none of the effects explains: {remains.share:.0%} of the residual follows {remains.view}."
+        )
+    stuck = [name for name, estimate in base.items() if estimate.at_bound]
+    if stuck:
+        lines.append(f"The refit of {', '.join(stuck)} ends at a bound: widen it in [bounds], or check units and signs.")
+    return tuple(lines)
