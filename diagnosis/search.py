@@ -23,12 +23,15 @@ Mask = NDArray[np.bool_]
 
 SETTLE = 3  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
+import os
+DEBUG=os.environ.get('BDEBUG')
 HOPE = 0.7  # of the null's level: a search that promises less is over
 HOPELESS = 40.0  # nats: promises beyond this are followed whatever the null says
-PLAUSIBLE = 0.1  # share of the best gain promised, and after one step, from which a candidate is refitted
+WIDE, NARROW = 9, 6  # candidates that go on after their starts, and after one step
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
+PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error by this, or by this and gains this share of the first
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 HELD = 4  # every fourth segment is kept from the search
 
@@ -139,9 +142,8 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     promised = max(c.promised for c in reached) - fit.total
     if promised < HOPE * loud.level and promised < HOPELESS:
         return replace(nothing, null=loud, gain=max(promised, 0.0), decision="no gain above what chance gives")
-    tried = [advance(stage.problem, c) if c.fit and c.promised - fit.total > PLAUSIBLE * promised else c for c in tried]
-    best = max(c.fit.total for c in tried if c.fit) - fit.total
-    tried = [follow(stage.problem, c) if c.fit and c.fit.total - fit.total > PLAUSIBLE * best else c for c in tried]
+    tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(stage.problem, c))
+    tried = _narrowed(tried, lambda c: c.fit.total if c.fit else -np.inf, NARROW, lambda c: follow(stage.problem, c))
     reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None
@@ -149,16 +151,30 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     null = largest_gain(banks, lens.freed(leader.fit.white[:, :, None])[:, :, 0], fit.weight)
     if gain <= null.level or leader.merit <= Candidate("", fit).merit:
         return Verdict(tuple(tried), null, fit.total, None, gain, 1.0, (), "no gain above what chance gives")
-    contenders = [c for c in reached if c.fit is not None and c.fit.total - fit.total > CONTENDER * gain]
+    contenders = [c for c in reached if c.fit is not None and c.fit.total - fit.total > max(CONTENDER * gain, null.level)]
     problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
-    assert leader.fit is not None
     plain = refit(problem, fit.simulator, fit.free, fit.values, fit.starts)
-    gain = leader.fit.total - plain.total
-    size = mean_square(plain, bench.train) / max(mean_square(leader.fit, bench.train), 1e-300)
-    ties = tuple(c.name for c in contenders if c.name != leader.name and _alike(leader, c))
-    told = [replace(c, refused="{:.1f} +- {:.1f}".format(*apart(leader, c))) for c in contenders]
+    before = mean_square(plain, bench.train)
+    sizes = {c.name: before / max(mean_square(c.fit, bench.train), 1e-300) for c in contenders if c.fit}
+    large = [c for c in contenders if sizes[c.name] >= SIZE]
+    leader = max(large or contenders, key=lambda c: c.merit)
+    assert leader.fit is not None
+    gain, size = leader.fit.total - plain.total, sizes[leader.name]
+    ties = tuple(c.name for c in large if c.name != leader.name and _alike(leader, c))
+    if DEBUG:
+        for c in contenders:
+            dd=np.sort(c.fit.score-plain.score)[::-1]; print('   ',c.name,'%.1f'%(c.fit.total-plain.total),'s%.2f'%sizes[c.name],'top',np.round(dd[:6],1),'bottom',np.round(dd[-4:],1), 'null',round(null.level,1))
+    told = [replace(c, refused="{:.1f} +- {:.1f} s{:.2f}".format(*apart(leader, c), sizes[c.name])) for c in contenders]
     table = {c.name: c for c in tried} | {c.name: c for c in told}
     return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "")
+
+
+def _narrowed(
+    candidates: list[Candidate], worth: Callable[[Candidate], float], count: int, go_on: Callable[[Candidate], Candidate]
+) -> list[Candidate]:
+    """Go on with the candidates that are worth most, and leave the others as they are."""
+    chosen = {c.name for c in sorted(candidates, key=lambda c: -worth(c))[:count]}
+    return [go_on(c) if c.name in chosen else c for c in candidates]
 
 
 def _under_best_noise(
@@ -217,6 +233,9 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
             break
         if verdict.size < SIZE:
             rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is certain but small")
+            break
+        if stage is not base and not (verdict.size >= PLAIN or (verdict.size >= MORE and verdict.gain >= ALSO * rounds[0].gain)):
+            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' may only mend the form of what was added")
             break
         if any(group(name) != group(verdict.best.name) for name in verdict.ties):
             rounds[-1] = replace(verdict, decision="several effects explain it alike")

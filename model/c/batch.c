@@ -71,9 +71,8 @@ EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int wid
     long long succeeded = 0;
     for (int i = 0; i < N_V; i++) fresh[i] = c->v[i];
     for (long long k = 0; k < n_segments; k++) {
-        double old[N_X + 1], moved[N_X * Q + 1];
+        double old[N_X + 1];
         for (int j = 0; j < n; j++) old[j] = c->v[a->states[j]];
-        for (int i = 0; i < n * Q; i++) moved[i] = s[i];
         for (int i = 0; i < n_set; i++) {
             c->v[a->states[set[i]]] = starts[k * n_set + i];
             for (int q = 0; q < Q; q++) s[set[i] * Q + q] = q == column[i];
@@ -91,7 +90,8 @@ EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int wid
                 if (j != set[i]) s[j * Q + column[i]] = 0.0; /* what the last start left behind is not this one's doing */
             if (from < 0) continue;
             c->v[a->states[j]] += c->v[a->states[from]] - old[from];
-            for (int q = 0; q < Q; q++) s[j * Q + q] += s[from * Q + q] - (q == column[leader[j]] ? 0.0 : moved[from * Q + q]);
+            /* the far side of a play remembers its past sharply: its derivatives start anew with the segment */
+            for (int q = 0; q < Q; q++) s[j * Q + q] = s[from * Q + q];
         }
         int code = CORE_OK;
         for (int b = 0; b < bins; b++) {

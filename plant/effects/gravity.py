@@ -21,7 +21,7 @@ def torque(c: Context) -> ca.SX:
 
 def starts(e: Evidence) -> list[dict[str, float]]:
     """Return amplitude and phase by linear regression."""
-    sine, cosine = e.regress(np.column_stack([np.sin(e.theta), np.cos(e.theta)]))[0]
+    sine, cosine = -e.regress(np.column_stack([np.sin(e.theta), np.cos(e.theta)]))[0]
     return [{"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine)}]
 
 

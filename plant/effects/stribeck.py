@@ -21,7 +21,7 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
 def starts(e: Evidence) -> list[dict[str, float]]:
     """Return a little more friction below speeds from creep to a third of the fastest."""
     top = float(np.quantile(np.abs(e.v), 0.98))
-    return [{"excess": 0.2, "speed": top * share} for share in (0.006, 0.02, 0.06, 0.2)]
+    return [{"excess": 0.05, "speed": top * share} for share in (0.006, 0.02, 0.06, 0.2)]
 
 
 EFFECT = Effect(
