@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.fmus import obtain
-from bristle.harness.fmu import Fmu
+from bristle.fmus.host import Fmu
 from bristle.harness.loop import Bus, Instance, simulate
 from bristle.model.native import Native
 from bristle.observer import observer_program

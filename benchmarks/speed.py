@@ -23,7 +23,7 @@ import numpy as np
 
 from bristle.fmus import obtain
 from bristle.fmus.controller.definition import program as controller_program
-from bristle.harness.fmu import Fmu
+from bristle.fmus.host import Fmu
 from bristle.harness.loop import Bus, Instance, Session
 from bristle.model.cache import cached, digest
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity

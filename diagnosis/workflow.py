@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
-from bristle.diagnosis.candidates import RIGID
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, refit
 from bristle.diagnosis.intake import Record
@@ -80,12 +81,25 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     begun = time.perf_counter()
     tell = progress or (lambda text, fraction: None)
     tell("base refit", 0.0)
-    nominal = {"b": 1.0, **model.parameters}
-    bench = bench_of(model, records, nominal)
-    h = bench.segments.h
-    step = bench.resolution * (h if bench.segments.velocity else 1.0)
-    servo, values = base_servo(model.friction, nominal, model.bounds, fixed_values(h), step)
-    base = settle(bench, servo, values)
+    bench = bench_of(model, records, {"b": 1.0, **model.parameters})
+    return examine(model, records, bench, settle(bench, *base_of(model, bench)), tell, begun)
+
+
+def base_of(model: Model, bench: Bench) -> tuple[Servo, dict[str, float]]:
+    """Return the servo that a model describes, its own effects included, and the values it starts from."""
+    s = bench.segments
+    step = bench.resolution * (s.h if s.velocity else 1.0)
+    servo, values = base_servo(model.friction, {"b": 1.0, **model.parameters}, model.bounds, fixed_values(s.h), step)
+    rigid = servo.rigid and not set(model.effects) & set(ELASTIC)
+    free = tuple(f for f in servo.free if rigid or not f.name.startswith(f"{RIGID}."))
+    own = {f"{effect}.{name}": value for effect, given in model.effects.items() for name, value in given.items()}
+    return replace(servo, effects=tuple(model.effects), free=free, rigid=rigid), {**values, **own}
+
+
+def examine(
+    model: Model, records: Sequence[Record], bench: Bench, base: Stage, tell: Tell, begun: float
+) -> answer.Diagnosis:
+    """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
     final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
     tell("what remains", 0.85)
     return _conclude(model, records, bench, base, final, rounds, begun)
@@ -98,10 +112,10 @@ def _conclude(
     where, after = _views(bench, base, final)
     last = rounds[-1]
     ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if (v.best and v.ties and v.named) or (v is last and v.ties)]
-    verdict = _verdict(final, last)
+    named = final.servo.effects[len(model.effects) :]
+    verdict = "named" if named else _unnamed(last)
     gap, remains = _gap(model, bench, base, final), _remains(after)
     intervals = estimates(model, whole)
-    named = final.servo.effects[len(model.effects) :]
     effects = tuple(
         answer.Named(
             name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
@@ -139,9 +153,7 @@ def _open(verdict: Verdict) -> tuple[str, ...]:
     return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and verdict.ties and not verdict.named else ()
 
 
-def _verdict(final: Stage, last: Verdict) -> str:
-    if final.servo.effects:
-        return "named"
+def _unnamed(last: Verdict) -> str:
     classes = {group(name) for name in _open(last)}
     if not classes:
         return "none"

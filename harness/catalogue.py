@@ -6,7 +6,7 @@ import tomllib
 from importlib.resources import files
 from pathlib import Path
 
-from bristle.harness.fmu import Fmu
+from bristle.fmus.host import Fmu
 from bristle.model.errors import BristleError
 
 

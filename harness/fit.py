@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.harness.fmu import Fmu
+from bristle.fmus.host import Fmu
 from bristle.harness.loop import Drive
 from bristle.harness.metrics import mse_percent
 

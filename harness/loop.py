@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.harness.fmu import Fmu, Slave, Value
+from bristle.fmus.host import Fmu, Slave, Value
 from bristle.model.cache import cached, digest
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.errors import BristleError

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from bristle.harness.fmu import Fmu, Value
+from bristle.fmus.host import Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
 from bristle.harness.record import Samples, read_record
 from bristle.harness.scenario import Loaded, Part, Scenario

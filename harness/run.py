@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.fmus.host import Fmu
 from bristle.harness import metrics, results
-from bristle.harness.fmu import Fmu
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import Bus, Trace, simulate
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.fmus.host import Fmu, Value
 from bristle.harness.fit import Data, Fit, LeanModel, fit
-from bristle.harness.fmu import Fmu, Value
 from bristle.harness.plan import Setup
 
 Array = NDArray[np.float64]

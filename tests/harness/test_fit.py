@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bristle.fmus import obtain
+from bristle.fmus.host import Fmu
 from bristle.harness.fit import Data, LeanModel, fit, regression, starts
-from bristle.harness.fmu import Fmu
 from bristle.harness.loop import Bus, Instance, simulate
 from bristle.harness.validation import MODELS, identified_model, lean_fmus, validate
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bristle.harness.fmu import Fmu
+from bristle.fmus.host import Fmu
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import HUGE, Bus, Drive, Instance, simulate
 from bristle.harness.plan import Kind, find_fmus, identification, prepare

@@ -1,4 +1,4 @@
-"""FMUs as the harness sees them: what the modelDescription says, and a loaded instance."""
+"""FMUs as a host sees them: what the modelDescription says, and a loaded instance."""
 
 from __future__ import annotations
 
@@ -323,18 +323,18 @@ class Slave:
             return float(instance.getBoolean(vr)[0])
         return float((instance.getReal if self.fmu.fmi == 2 else instance.getFloat64)(vr)[0])
 
-    def initialise(self, values: Mapping[str, Value]) -> None:
-        """Set start values and go through initialisation at time 0."""
+    def initialise(self, values: Mapping[str, Value], time: float = 0.0) -> None:
+        """Set start values and go through initialisation at a start time [s]."""
         instance = self.instance
         _messages.clear()
         try:
             for name, value in values.items():
                 self.set_value(name, value)
             if self.fmu.fmi == 2:
-                instance.setupExperiment(startTime=0.0)
+                instance.setupExperiment(startTime=time)
                 instance.enterInitializationMode()
             else:
-                instance.enterInitializationMode(startTime=0.0)
+                instance.enterInitializationMode(startTime=time)
             instance.exitInitializationMode()
         except Exception as error:
             raise BristleError(

@@ -1,0 +1,296 @@
+"""Somebody else's plant FMU as the model: a servo of our own is fitted to it, and the search runs on that in its place.
+
+What the FMU does otherwise than the fitted servo, from the same states and under the same input, is taken out of what
+was measured. What is then missing is missing in the FMU.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis import result as answer
+from bristle.diagnosis.candidates import Servo
+from bristle.diagnosis.excitation import excitation
+from bristle.diagnosis.fit import Fit, evaluate, refit
+from bristle.diagnosis.intake import Record
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.noise import Noise
+from bristle.diagnosis.search import Bench, mean_square, settle
+from bristle.diagnosis.segments import SMOOTH, Segments, smooth
+from bristle.diagnosis.workflow import Tell, base_of, bench_of, examine
+from bristle.fmus.host import Fmu
+from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
+from bristle.model.errors import BristleError
+
+Array = NDArray[np.float64]
+
+LEAD = 0.04  # s before a segment from which the FMU runs: hidden states come to life, position and velocity do not run off
+CLOSE = 0.1  # of the gap: a servo that is as close to the FMU may move as far as the model's own bounds
+NEAR = 1.5  # else by this factor either way, for the difference is that of the fitted parameters
+ROUNDS = 4  # times that the servo is fitted to the FMU, each time as closely as it came before
+TRUST = 0.5  # of what a refit leaves of the gap: if the servo is farther from the FMU than that, nothing is named
+OFF = 0.02  # parameters that differ by less are not worth a line
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A servo fitted to an FMU.
+
+    Attributes
+    ----------
+    bench : Bench
+        The records, less what the FMU does otherwise than the servo.
+    values : dict
+        Parameters of the servo, SI.
+    error, gap : float
+        rms of the servo less the FMU, and of the measured less the FMU, start states at their best [unit of the output].
+    """
+
+    bench: Bench
+    values: Mapping[str, float]
+    error: float
+    gap: float
+
+
+def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progress: Tell | None = None) -> answer.Diagnosis:
+    """Find where a plant FMU and records disagree, and name what the FMU lacks.
+
+    Parameters
+    ----------
+    fmu_path : Path
+        Co-Simulation FMU of FMI 2 or 3 with input u and output theta, or v where the records hold velocities. It runs
+        in a process of its own.
+    model : Model
+        What the records hold, and a law and nominal parameters that come near the FMU's; `fmu_model`, or from a file.
+    records : sequence of Record
+        From `load_records` or `records_from_arrays`; two or more are better than one.
+    progress : function, optional
+        Called with a text and the fraction done.
+
+    Returns
+    -------
+    Diagnosis
+        `model` has the parameters that the FMU behaves like; `findings` say how the FMU was run, how closely the fitted
+        servo follows it, and which of its parameters look wrong. Verdict not_identifiable if the servo does not follow.
+
+    Raises
+    ------
+    BristleError
+        If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records are too short.
+    """
+    begun = time.perf_counter()
+    tell = progress or (lambda text, fraction: None)
+    fmu = _checked(Fmu(Path(fmu_path), foreign=True), model)
+    bench = bench_of(model, records, {"b": 1.0, **model.parameters})
+    segments, lines = _simulated(fmu, bench, tell)
+    tell("fitting a servo to the FMU", 0.05)
+    twin = _twin(model, bench, replace(bench, segments=segments))
+    lines.append(_closeness(fmu, model, twin))
+    like = replace(model, parameters={name: float(twin.values[name]) for name in model.parameters})
+    free = replace(like, bounds=_bounds(model, twin))
+    base = settle(twin.bench, *base_of(free, twin.bench))
+    left = mean_square(base.fit, twin.bench.held)
+    kept = replace(like, bounds=_around(model, like))
+    if twin.error > TRUST * math.sqrt(left):
+        return _refused(kept, records, left, lines, time.perf_counter() - begun)
+    found = examine(free, records, twin.bench, base, tell, begun)
+    return replace(found, model=kept, findings=(*lines, *_wrong(fmu, found, twin), *found.findings))
+
+
+def _checked(fmu: Fmu, model: Model) -> Fmu:
+    """Refuse an FMU without the variables that the records speak of."""
+    output, unit = ("v", "rad/s") if model.output_kind == "velocity" else ("theta", "rad")
+    for name, causality in ((INPUT, "input"), (output, "output")):
+        if not fmu.has(name, causality) or not fmu.is_real(name):
+            known = ", ".join(fmu.names(causality)) or "none"
+            raise BristleError(f"FMU {fmu.path}: no real {causality} '{name}' (there are: {known}); rename it so in the FMU")
+    if not model.linear:
+        fmu.check_si(output, unit)
+    return fmu
+
+
+# -- the FMU over the records ------------------------------------------------------------------------------------------
+
+
+def _simulated(fmu: Fmu, bench: Bench, tell: Tell) -> tuple[Segments, list[str]]:
+    """Return what the FMU gives in place of what was measured (averages and start states), and how it was run."""
+    tell("simulating the FMU", 0.0)
+    s = bench.segments
+    outputs = ("v",) if s.velocity else ("theta", "v") if fmu.has("v", "output") and fmu.is_real("v") else ("theta",)
+    wanted = ("v",) if s.velocity else ("theta", "v")
+    begins = {name: variable for name in wanted if (variable := start_variable(fmu, name)) is not None}
+    try:
+        for name in wanted:
+            if name not in begins:
+                raise NotAnewError(f"no parameter {name}_start and no start value of {name}")
+        lead = round(LEAD / s.h)
+        stretches = tuple(_stretches(bench, lead, begins))
+        known = {name: variable for name, variable in begins.items() if name in outputs}
+        played = play_stretches(
+            Play(fmu, s.h, stretches, outputs, known), lambda n: tell("simulating the FMU", 0.05 * n / len(stretches))
+        )
+        return _gathered(s, played, lead), [
+            f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments, {lead * s.h:.3g} s before it, with "
+            f"{' and '.join(begins.values())} as measured; other states it has then begin at their start values"
+        ]
+    except NotAnewError as error:
+        whole = tuple(Stretch(piece.time, piece.u, {}) for piece in s.pieces)
+        played = play_whole(Play(fmu, s.h, whole, outputs, {}))
+        line = f"{fmu.path.name} cannot be begun anew at each segment ({error}): it ran over whole records from its own start"
+        return _cut(s, played), [line]
+
+
+def _stretches(bench: Bench, lead: int, begins: Mapping[str, str]) -> Iterator[Stretch]:
+    """Give the inputs of each segment with those of the lead before it, and the measured state where that begins."""
+    s, m, offset = bench.segments, bench.motion, 0
+    length = s.bins * s.width
+    for piece in s.pieces:
+        for first in range(0, len(piece.u), length):
+            at = max(0, first - lead)
+            state = {"theta": float(m.theta[offset + at]), "v": float(m.v[offset + at])}
+            start = {variable: state[name] for name, variable in begins.items()}
+            yield Stretch(piece.time + s.h * at, piece.u[at : first + length], start)
+        offset += len(piece.u)
+
+
+def _gathered(s: Segments, played: Played, lead: int) -> Segments:
+    """Return the segments as the FMU gives them, from one stretch each."""
+    pieces, done, length = [], 0, s.bins * s.width
+    for piece in s.pieces:
+        n = len(piece.seen)
+        parts = [_state(s, each) for each in played.outputs[done : done + n]]
+        seen = np.array([_averages(s, y[len(y) - length :]) for y, _ in parts])
+        starts = np.array([state[len(state) - length] for _, state in parts])
+        pieces.append(replace(piece, seen=seen, starts=starts))
+        done += n
+    return replace(s, pieces=tuple(pieces))
+
+
+def _cut(s: Segments, played: Played) -> Segments:
+    """Return the segments as the FMU gives them, cut from whole records."""
+    pieces = []
+    for piece, outputs in zip(s.pieces, played.outputs, strict=True):
+        y, state = _state(s, outputs)
+        seen = np.array([_averages(s, part) for part in y.reshape(len(piece.seen), -1)])
+        pieces.append(replace(piece, seen=seen, starts=state[:: s.bins * s.width]))
+    return replace(s, pieces=tuple(pieces))
+
+
+def _averages(s: Segments, y: Array) -> Array:
+    return np.asarray(y.reshape(s.bins, s.width).mean(axis=1))
+
+
+def _state(s: Segments, outputs: Array) -> tuple[Array, Array]:
+    """Return the output (n,) and the state (n, 2) that an FMU shows; where it shows no velocity, from a parabola."""
+    y = outputs[:, 0]
+    if s.velocity:
+        return y, np.column_stack([np.zeros_like(y), y])
+    return y, np.column_stack([y, outputs[:, 1] if outputs.shape[1] > 1 else smooth(y, s.h, SMOOTH, 1)])
+
+
+# -- the servo in its place --------------------------------------------------------------------------------------------
+
+
+def _twin(model: Model, bench: Bench, copy: Bench) -> Twin:
+    """Fit a servo to the FMU (`copy`), and take what is left out of what was measured."""
+    fit = _fitted(copy, *base_of(model, copy))
+    first, pieces = 0, []
+    for piece in bench.segments.pieces:
+        n = len(piece.seen)
+        pieces.append(replace(piece, seen=piece.seen - fit.residual[first : first + n]))
+        first += n
+    corrected = replace(bench, segments=replace(bench.segments, pieces=tuple(pieces)))
+    judged = corrected.segments.judged
+    problem = corrected.problem(_white(corrected, 1.0), judged)
+    measured = evaluate(problem, fit.simulator, fit.free, fit.values, corrected.segments.starts)
+    error, gap = (math.sqrt(mean_square(each, judged)) for each in (fit, measured))
+    return Twin(corrected, fit.values, error, gap)
+
+
+def _fitted(copy: Bench, servo: Servo, values: Mapping[str, float]) -> Fit:
+    """Fit a servo to the FMU by plain least squares: an FMU has no noise, and no segment of it is an accident."""
+    judged, simulator = copy.segments.judged, servo.simulator(copy.segments)
+    fit = evaluate(copy.problem(_white(copy, 1.0), judged), simulator, servo.free, dict(values), copy.segments.starts)
+    for _ in range(ROUNDS):
+        problem = copy.problem(_white(copy, math.sqrt(mean_square(fit, judged))), judged)
+        fit = refit(problem, simulator, servo.free, fit.values, fit.starts)
+    return fit
+
+
+def _white(bench: Bench, level: float) -> Noise:
+    """Return a white noise so wide that a segment that is off by `level` rms counts as it is, and not as an outlier."""
+    bins = bench.segments.bins
+    sigma = math.sqrt(bins) * max(level, bench.least)
+    return Noise(np.eye(bins) / sigma, 2 * bins * math.log(sigma), 0.0, 1.0, sigma)
+
+
+def _bounds(model: Model, twin: Twin) -> dict[str, tuple[float, float]]:
+    """Return how far the parameters may move from those that the FMU behaves like."""
+    if twin.error <= CLOSE * twin.gap:
+        return dict(model.bounds)
+    found = {}
+    for name, (low, high) in model.bounds.items():
+        value = twin.values[name]
+        ends = sorted((value / NEAR, value * NEAR)) if value else (low, high)
+        found[name] = (max(low, ends[0]), min(high, ends[1]))
+    return {name: (low, high) for name, (low, high) in found.items() if low < high}
+
+
+def _around(model: Model, like: Model) -> dict[str, tuple[float, float]]:
+    return {name: (min(low, like.parameters[name]), max(high, like.parameters[name])) for name, (low, high) in model.bounds.items()}
+
+
+# -- what is said of it ------------------------------------------------------------------------------------------------
+
+
+def _closeness(fmu: Fmu, model: Model, twin: Twin) -> str:
+    servo = " and ".join([f"{model.friction} friction", *model.effects])
+    return (
+        f"a servo with {servo} follows {fmu.path.name} to {twin.error:.3g} {model.output_unit} rms; "
+        f"what was measured is {twin.gap:.3g} {model.output_unit} rms away from it"
+    )
+
+
+def _wrong(fmu: Fmu, found: answer.Diagnosis, twin: Twin) -> list[str]:
+    """Return a line for each parameter of the FMU that the records contradict, what was found taken into account."""
+    lines = []
+    for name, e in found.parameters.items():
+        value = twin.values.get(name)
+        if value is None or e.ci95 is None or e.ci95[0] <= value <= e.ci95[1] or abs(value - e.value) <= OFF * abs(e.value):
+            continue
+        unit = "" if e.unit == "1" else f" {e.unit}"
+        by = _excess(value / e.value) if e.value and value / e.value > 0 else "wrong"
+        line = f"{name} of {fmu.path.name} looks {by}: it behaves like {value:.4g}{unit}, the records like {e.value:.4g}{unit}"
+        lines.append(f"{line} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})" + (", the bound of the search" if e.at_bound else ""))
+    return lines
+
+
+def _excess(ratio: float) -> str:
+    """Return a ratio in words."""
+    way, size = ("high", ratio) if ratio > 1 else ("low", 1 / ratio)
+    return f"{size:.1f} times too {way}" if size >= 2 else f"{abs(ratio - 1):.0%} too {way}"
+
+
+def _refused(like: Model, records: Sequence[Record], left: float, lines: list[str], seconds: float) -> answer.Diagnosis:
+    """Return a diagnosis that names nothing, because the servo that the search would run on is not the FMU.
+
+    `left` is the mean square [output squared] that is left between the servo and the records when it is refitted.
+    """
+    why = (
+        f"A servo with {like.friction} friction does not follow the FMU closely enough: it is nearly as far from the FMU as, "
+        f"refitted, from the records ({math.sqrt(left):.3g} {like.output_unit} rms). "
+        "Give a MODEL.toml with the FMU's own friction law, effects and parameters."
+    )
+    return answer.Diagnosis(
+        verdict="not_identifiable", statement=(why,), effects=(), ties=(), experiment="", where=(),
+        remains=answer.Remains(False, None, 0.0), gap=answer.Gap(left, left, None, f"({like.output_unit})2"),
+        excitation=excitation(like, records), findings=(*lines, *(f for r in records for f in r.findings)), base={},
+        parameters={}, rounds=(), undetected={}, traces=(), model=like, seconds=seconds,
+    )  # fmt: skip

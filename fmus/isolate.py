@@ -1,0 +1,136 @@
+"""Work in a process of its own, for FMUs of others: if one crashes, only that process dies."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.model.errors import BristleError
+
+LOOK = 0.05  # s between two looks at the child
+
+Control = NDArray[np.int64]
+Argument = TypeVar("Argument")
+Answer = TypeVar("Answer")
+
+
+def isolated(
+    work: Callable[[Argument, Control], Answer],
+    argument: Argument,
+    fmus: Sequence[Path],
+    progress: Callable[[int], None] | None = None,
+) -> Answer:
+    """Return work(argument, control), done in a child process.
+
+    Parameters
+    ----------
+    work : function of a module
+        `control`, shape (2,), is shared memory: [0] counts what is done, for `progress`.
+    argument, returned value
+        Whatever can be pickled.
+    fmus : sequence of Path
+        The foreign FMUs that take part: which one crashes is not known, hence all are named.
+
+    Raises
+    ------
+    BristleError
+        If the child dies or refuses the work.
+    """
+    with tempfile.TemporaryDirectory(prefix="bristle-run-", ignore_cleanup_errors=True) as folder:
+        place = Path(folder)
+        (place / "work.pkl").write_bytes(pickle.dumps((work, argument, fmus)))
+        control = np.memmap(place / "control", dtype=np.int64, mode="w+", shape=(2,))
+        with (place / "said").open("wb") as said:
+            child = subprocess.Popen(
+                [sys.executable, "-m", "bristle.fmus.isolate", folder], stdin=subprocess.PIPE, stdout=said, stderr=said,
+                env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
+            )  # fmt: skip
+            try:
+                _wait(child, control, progress)
+            finally:
+                _end(child)
+        written = place / "answer.pkl"
+        if not written.exists():
+            raise BristleError(_obituary(fmus, child.returncode, place / "said"))
+        done, answer = pickle.loads(written.read_bytes())
+    if not done:
+        raise BristleError(answer)
+    result: Answer = answer
+    return result
+
+
+def _wait(child: subprocess.Popen[bytes], control: Control, progress: Callable[[int], None] | None) -> None:
+    while True:
+        try:
+            child.wait(LOOK)
+            return
+        except subprocess.TimeoutExpired:
+            if progress:
+                progress(int(control[0]))
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    if child.poll() is None:
+        child.kill()
+    child.wait()
+    if child.stdin:
+        child.stdin.close()
+
+
+def _names(fmus: Sequence[Path]) -> str:
+    return ", ".join(map(str, fmus))
+
+
+def _obituary(fmus: Sequence[Path], code: int, said: Path) -> str:
+    try:
+        cause = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+    except ValueError:
+        cause = f"exit code {code}"
+    lines = said.read_text(errors="replace").strip().splitlines()
+    last = f": {lines[-1][:200]}" if lines and code > 0 else ""
+    return (
+        f"FMU {_names(fmus)}: crashed the simulation ({cause}{last}); "
+        "the fault is inside that FMU: replace it or report it to its maker"
+    )
+
+
+def _child(folder: str) -> None:
+    """Do the work; end at once when the parent is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    threading.Thread(target=_watch_parent, daemon=True).start()
+    place = Path(folder)
+    work, argument, fmus = pickle.loads((place / "work.pkl").read_bytes())
+    control = np.memmap(place / "control", dtype=np.int64, mode="r+", shape=(2,))
+    outcome: tuple[bool, Any]
+    try:
+        outcome = True, work(argument, control)
+    except BristleError as error:
+        outcome = False, str(error)
+    except Exception as error:  # FMPy raises plain exceptions for what an FMU refuses; not a crash
+        reason = " ".join(str(error).split()) or type(error).__name__
+        outcome = False, f"FMU {_names(fmus)}: {reason}; check the FMU and its parameters"
+    fresh = place / "answer.tmp"
+    fresh.write_bytes(pickle.dumps(outcome))
+    os.replace(fresh, place / "answer.pkl")
+
+
+def _watch_parent() -> None:
+    with contextlib.suppress(OSError):
+        sys.stdin.buffer.read()
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    _child(sys.argv[1])
