@@ -20,7 +20,12 @@ Array = NDArray[np.float64]
 
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
 FINALISTS = 2  # starts from which a step is taken
-LIMITS = {"excess": (0.0, 100.0), "share": (0.02, 0.9), "dissipation": (1e-3, 1e3)}
+LIMITS = {  # closer than what can be simulated: what a servo may have
+    "stribeck.excess": (0.0, 100.0),
+    "compliance.share": (0.02, 0.9),
+    "backlash.share": (0.02, 0.9),
+    "backlash.dissipation": (1e-3, 1e3),
+}
 
 
 RIGID = "bristle_damping"  # friction of a real servo bends a little before it slides: part of every model here
@@ -94,7 +99,7 @@ def freedom(name: str, start: Mapping[str, float]) -> tuple[Free, ...]:
         short = p.name.removeprefix(f"{name}.")
         if short not in start:
             continue
-        low, high = LIMITS.get(short, (p.minimum, p.maximum))
+        low, high = LIMITS.get(p.name, (p.minimum, p.maximum))
         factor = p.minimum > 0
         if factor:
             low, high = max(low, start[short] / FACTOR), min(high, start[short] * FACTOR)

@@ -218,8 +218,7 @@ def _rounds(diagnosis: Diagnosis) -> str:
 def _best(candidate: Candidate | None) -> str:
     if candidate is None:
         return "–"
-    shrink = f", shrink {100 * candidate.shrink:.0f} %" if math.isfinite(candidate.shrink) else ""
-    return f'{escape(candidate.name)}<div class="sub">gain {number(candidate.gain, 3)} nats{shrink}</div>'
+    return f'{escape(candidate.name)}<div class="sub">gain {number(candidate.gain, 3)} nats</div>'
 
 
 def _files(files: Mapping[str, str]) -> str:

@@ -125,7 +125,7 @@ def _conclude(
     effects = tuple(
         answer.Named(
             name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
-            v.gain, v.null.p(v.gain),
+            v.gain, v.null.p(name, v.gain),
         )
         for name, v in zip(named, rounds, strict=False)
     )  # fmt: skip
@@ -270,7 +270,8 @@ def _round(v: Verdict) -> answer.Round:
     bars = []
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else 0.0
-        bars.append(answer.Candidate(c.name, gain, 0.0, c.refused))
+        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused))
     bars.sort(key=lambda bar: -bar.gain)
     added = v.best.name if v.best and v.named else None
-    return answer.Round(tuple(bars), v.null.level, v.null.p(v.gain), added, v.decision, v.gain, v.size)
+    top = v.best.name if v.best else bars[0].name if bars else ""
+    return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size)
