@@ -228,9 +228,9 @@ class Program:
                 add("seen_jacobian", [self._derivative(system, system.outputs[self.observed][1])], to_output=True)
         if system.smooth:
             add("rates", [(system.rate_vector(), range(n))], to_output=True)
-            unknowns = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
+            found = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
             knowns = system.vector([*system.states, *system.inputs])
-            jacobian = ca.jacobian(unknowns, knowns)
+            jacobian = ca.jacobian(found, knowns)
             add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
         return variant
 

@@ -76,7 +76,8 @@ def proximal(system: System, h: SX) -> tuple[SX, list[Unknown]]:
     factors = Elimination(SX.eye(x.shape[0]) / h - weight * a)
     y = factors.forward(f + weight * h * ca.jacobian(f, system.time))
     row = _Row(dry, v, y[-1], y[-1] - a[-1, -1] * v, factors.a[-1][-1], weight, h)
-    after, unknowns = {}, []
+    after: dict[str, SX] = {}
+    unknowns: list[Unknown] = []
     if dry.deflection is None:
         dv, mean = _slip(row)
     else:

@@ -108,7 +108,7 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(name):
     assert effect.name == name
     assert len(effect.description.split()) >= 2
     assert set(KEY.findall(effect.source)) & set(KEYS)
-    slots = (effect.torque, effect.factor, effect.bound, effect.output, effect.coupling, effect.law, effect.command, effect.rates)
+    slots = (effect.torque, effect.factor, effect.bound, effect.output, effect.coupling, effect.bristles, effect.command, effect.rates)
     assert any("Source:" in (slot.__doc__ or "") for slot in (*slots, effect.drive) if slot)
 
 

@@ -189,7 +189,7 @@ def test_the_order_in_which_effects_are_named_does_not_matter():
         ("coulomb", ("coging",), "unknown effect 'coging'; known: asymmetric_coulomb, back_emf"),
         ("coulomb", ("bias", "bias"), "effect 'bias' is given twice"),
         ("coulomb", ("compliance", "backlash"), "effects 'backlash' and 'compliance' both put a second inertia"),
-        ("coulomb", ("presliding", "bristle_damping"), "effects 'bristle_damping' and 'presliding' both put bristles under the friction"),
+        ("coulomb", ("presliding", "bristle_damping"), "effects 'bristle_damping' and 'presliding' both put bristles under"),
         (None, ("bias",), "effect 'bias' joins one friction law; choose a law"),
     ],
 )
