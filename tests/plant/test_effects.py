@@ -2,7 +2,7 @@
 
 import math
 from functools import cache
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import casadi as ca
 import numpy as np
@@ -378,15 +378,22 @@ def test_motion_with_dry_friction_follows_the_equation(name):
 
 @pytest.mark.parametrize(("name", "damping"), [("presliding", 0.0), ("bristle_damping", 0.02)])
 def test_bristles_follow_the_equation(name, damping):
+    """To second order in the step, whichever half of a step a reversal falls in."""
+
     def rates(t, x, u):
         dz = x[1] - 1.5 * abs(x[1]) * x[2] / FC
         return [x[1], (B * u - A2 * x[1] - 1.5 * x[2] - damping * dz) / J, dz]
 
     parameters = {f"{name}.stiffness": 1.5} | ({f"{name}.damping": damping} if damping else {})
-    record, _ = Native(lean(name), parameters).run(H, {"u": levels()}, ["theta", "v"])
-    expected = solve(rates, 3)
-    size = np.ptp(expected[:, :2], axis=0)
-    assert np.all(np.abs(record - expected[:, :2]) <= 1e-5 * size)
+    expected = solve(rates, 3)[:, :2]
+    assert np.sum(np.diff(np.sign(expected[1:, 1])) != 0) == 2
+    size, errors = np.ptp(expected, axis=0), []
+    for step in (1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.25e-5):
+        record, _ = Native(lean(name), parameters | {"solver.friction_step": step}).run(H, {"u": levels()}, ["theta", "v"])
+        errors.append(np.max(np.abs(record - expected) / size))
+    assert errors[0] <= 1e-5
+    for coarse, fine in pairwise(errors):
+        assert 3.3 <= coarse / fine <= 4.7
 
 
 def test_bristle_damping_of_none_is_presliding():
