@@ -53,7 +53,7 @@ def test_derivatives_are_those_of_the_simulation(segments, name):
     """
     values = VALUES | BENT | {f"{name}.{key}": value for key, value in WITH.get(name, {}).items()}
     work = simulator(segments, (name,) if name else (), True)
-    starts = segments.starts + [0.0, 0.01]  # none at rest: steps have a kink there
+    starts = segments.starts + np.array([0.0, 0.01])  # none at rest: steps have a kink there
     seen, exact, good = work.run(values, starts, jacobian=True)
     assert exact is not None
     assert good.all()
@@ -81,7 +81,7 @@ def check(exact, difference, key):
 
 def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
     """Without hidden states each segment is what the plain simulation gives from the same position and velocity."""
-    starts = segments.starts + [0.01, -0.2]
+    starts = segments.starts + np.array([0.01, -0.2])
     seen, _, good = simulator(segments, (), False).run(VALUES, starts)
     assert good.all()
     u = segments.pieces[0].u.reshape(-1, WIDTH * BINS)
@@ -149,9 +149,9 @@ def test_a_parabola_passes_the_smoothing(order):
     assert len(found) == 400
 
 
-def test_start_states_are_as_uncertain_as_the_sensor_is_coarse(segments):
+def test_start_states_are_as_uncertain_as_the_sensor_is_coarse():
     """The true states lie within the stated standard deviations, which are not far too wide."""
-    t, u = swing(16.0)
+    _, u = swing(16.0)
     native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
     true = native.run(H, {"u": u}, ["theta", "v"])[0][:-1]
     step = 2 * np.pi / 16384
