@@ -18,8 +18,9 @@ from bristle.diagnosis.fit import Fit, evaluate, refit
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, mean_square, search, settle
+from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
+from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import Share, residual_map, shares
 from bristle.model.errors import BristleError
 
@@ -29,7 +30,8 @@ Tell = Callable[[str, float], None]
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 LEFT = 0.12  # share of the residual that a view must predict before it is called a missing effect
-CERTAIN = 0.01
+CERTAIN = 0.002
+MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
 MAPS = 6  # views whose residual is drawn
 
 
@@ -52,7 +54,8 @@ def bench_of(model: Model, records: Sequence[Record], values: Mapping[str, float
     segments = Segments(tuple(pieces), h, width, bins, velocity)
     kept = [r.y for r in records if len(r.u) >= 3 * length]
     least = resolution / math.sqrt(12 * width) / 3
-    return Bench(segments, motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h)), resolution, least)
+    moved = motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h))
+    return Bench(segments, moved, resolution, least, excitation(model, records)["narrow"])
 
 
 def fixed_values(h: float) -> dict[str, float]:
@@ -102,6 +105,9 @@ def examine(
     """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
     final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
     tell("what remains", 0.85)
+    if bench.narrow and final is not base and _remains(_views(bench, base, final)[1]).flag:
+        why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too uniform a motion to name it"
+        final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
     return _conclude(model, records, bench, base, final, rounds, begun)
 
 
@@ -130,7 +136,7 @@ def _conclude(
         statement=story.statement(verdict, effects, ties, gap, remains, intervals),
         effects=effects,
         ties=tuple(ties),
-        experiment=story.experiment(ties, remains),
+        experiment=story.experiment(ties, remains, bench.narrow),
         where=where,
         remains=remains,
         gap=gap,
@@ -149,15 +155,16 @@ def _conclude(
 
 
 def _open(verdict: Verdict) -> tuple[str, ...]:
-    """Return the members of a tie that was not resolved."""
-    return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and verdict.ties and not verdict.named else ()
+    """Return the members of a tie that was not resolved, or what was withdrawn."""
+    open_ = verdict.best and not verdict.named and (verdict.ties or verdict.withdrawn)
+    return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
 
 
 def _unnamed(last: Verdict) -> str:
     classes = {group(name) for name in _open(last)}
     if not classes:
         return "none"
-    return "tie" if len(classes) <= story.MANY else "not_identifiable"
+    return "tie" if len(classes) <= story.MANY and not last.withdrawn else "not_identifiable"
 
 
 def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
@@ -235,7 +242,7 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
 
 
 def _remains(after: list[Share]) -> answer.Remains:
-    certain = [share for share in after if share.p <= CERTAIN]
+    certain = [share for share in after if share.p <= CERTAIN and share.view not in MEASURED]
     if not certain:
         return answer.Remains(False, None, after[0].share)
     return answer.Remains(certain[0].share >= LEFT, certain[0].view, certain[0].share)
