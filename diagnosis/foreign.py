@@ -23,8 +23,8 @@ from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.search import Bench, settle
-from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
+from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.workflow import Tell, base_of, bench_of, examine
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable

@@ -83,6 +83,32 @@ def test_a_refit_comes_home_from_afar(case):
         assert found.values[key] == pytest.approx(best.values[key], rel=2e-3)
 
 
+def test_no_step_makes_it_worse(case):
+    plain = case(None)
+    best, gains = plain.base.fit, []
+    for inertia, level in ((0.004, 0.3), (0.04, 0.02), (0.02, 0.4), (0.005, 0.01)):
+        away = {**best.values, "J": inertia, "coulomb.Fc": level}
+        totals = [
+            refit(plain.base.problem, best.simulator, best.free, away, plain.bench.segments.starts, count).total
+            for count in range(5)
+        ]
+        assert totals == sorted(totals)
+        gains.append(totals[-1] - totals[0])
+    assert max(gains) > 100
+
+
+def test_start_states_are_eliminated(case):
+    """Where they stand does not matter to the likelihood, to first order: it is that of the best ones."""
+    plain = case(None)
+    problem, best = plain.base.problem, plain.base.fit
+    rng = np.random.default_rng(4)
+    moved = best.starts + 0.04 * problem.spread * rng.standard_normal(best.starts.shape)
+    away = evaluate(problem, best.simulator, best.free, best.values, moved)
+    bare = -0.5 * np.sum((np.square(away.white).sum(axis=1) - np.square(best.white).sum(axis=1))[problem.judged])
+    assert bare < -50
+    assert abs(away.total - best.total) < 0.02 * abs(bare)
+
+
 def test_one_bad_segment_does_not_decide(case):
     plain = case(None)
     problem, best = plain.base.problem, plain.base.fit
@@ -100,8 +126,11 @@ def test_bounds_hold_and_the_others_go_on(case):
     best = plain.base.fit
     low = replace(best.free[0], high=0.008, nominal=None)
     assert low.name == "J"
-    found = refit(plain.base.problem, best.simulator, (low, *best.free[1:]), best.values, best.starts)
+    start = {**best.values, "J": 0.0075, "a2": 0.05}
+    found = refit(plain.base.problem, best.simulator, (low, *best.free[1:]), start, best.starts, 40)
     assert found.values["J"] == 0.008
+    held = refit(plain.base.problem, best.simulator, best.free[1:], {**start, "J": 0.008}, best.starts, 40)
+    assert found.total == pytest.approx(held.total, abs=0.2)
     assert low.stuck(found.values["J"])
     assert not found.free[1].stuck(found.values["a2"])
     assert found.total < best.total - 10
