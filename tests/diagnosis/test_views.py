@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.search import lens_of
-from bristle.diagnosis.views import FLIPS, hats, residual_map, shares, stops
+from bristle.diagnosis.views import FLIPS, STRETCHES, hats, residual_map, shares, stops
 
 SHARE = 0.6
 MADE = {  # a torque that follows a view, of the motion and the time t
@@ -29,27 +29,29 @@ def plain(case):
 
 
 def seen_through(plain, torque=None, seed=3):
-    """The shares of white noise and, SHARE of the whole, of what a torque (samples,) does."""
+    """The shares of noise and of what a torque (samples,) does, SHARE of what is whitened; and its power in the output."""
     bench, lens = plain.bench, copy(lens_of(plain.base, plain.bench))
     noise = np.random.default_rng(seed).standard_normal(lens.rest.shape)
     lens.rest = lens.freed(noise[:, :, None])[:, :, 0]
-    rough = np.zeros(lens.rest.shape)
+    rough, live, expected = np.zeros(lens.rest.shape), np.flatnonzero(lens.weight > 0), 0.0
     if torque is not None:
         made = lens.free_of_model(lens.through(torque[:, None]))[:, :, 0]
         power = [float(np.einsum("s,sn,sn->", lens.weight, each, each)) for each in (lens.rest, made)]
         size = np.sqrt(SHARE / (1 - SHARE) * power[0] / power[1])
         lens.rest = lens.rest + size * made
+        shown = [np.square(lens.plain(each[live][:, :, None], live)).sum() for each in (size * made, lens.rest)]
+        expected = shown[0] / shown[1]
         rough = size * torque.reshape(len(rough), rough.shape[1], -1).mean(axis=2) * (lens.weight > 0)[:, None]
-    return shares(lens, bench.motion, bench.segments.h, bench.resolution, rough)
+    return shares(lens, bench.motion, bench.segments.h, bench.resolution, rough), expected
 
 
 @pytest.mark.parametrize("view", list(MADE))
 def test_what_follows_a_view_is_found_there(plain, view):
     m = plain.bench.motion
-    found = seen_through(plain, MADE[view](m, m.time))
+    found, share = seen_through(plain, MADE[view](m, m.time))
     assert found[0].view == view, [(each.view, each.share) for each in found[:3]]
     assert found[0].p == 1 / (FLIPS + 1)
-    assert 0.7 * SHARE < found[0].share < 1.1 * SHARE
+    assert 0.6 * share < found[0].share < 1.15 * share  # what is fitted is held back a little
     if view == "tone":
         assert float(found[0].label.removesuffix(" Hz")) == pytest.approx(6.3, abs=0.1)
     if view == "theta":
@@ -57,10 +59,22 @@ def test_what_follows_a_view_is_found_there(plain, view):
 
 
 def test_noise_follows_nothing(plain):
-    smallest = np.array([min(each.p for each in seen_through(plain, seed=seed)) for seed in range(25)])
-    assert np.sum(smallest <= 0.1) <= 6  # the p of the strongest of all views: one in ten is that small
-    assert np.sum(smallest <= 0.5) >= 5
-    assert all(each.share < 0.05 for each in seen_through(plain))
+    smallest = np.array([min(each.p for each in seen_through(plain, seed=seed)[0]) for seed in range(20)])
+    assert np.sum(smallest <= 0.1) <= 5  # the p of the strongest of all views: one in ten is that small
+    assert np.sum(smallest <= 0.5) >= 4
+
+
+def test_stretches_that_are_far_off_are_seen_as_such(plain):
+    lens, m = copy(lens_of(plain.base, plain.bench)), plain.bench.motion
+    noise = np.random.default_rng(3).standard_normal(lens.rest.shape)
+    live = np.flatnonzero(lens.weight > 0)
+    noise[live[[2, 9, 17]]] *= 30
+    lens.rest = lens.freed(noise[:, :, None])[:, :, 0]
+    found = shares(lens, m, plain.bench.segments.h, plain.bench.resolution, np.zeros(lens.rest.shape))
+    assert found[0].view == STRETCHES
+    assert found[0].share > 0.9
+    assert found[0].p < 1e-3
+    assert found[0].label.startswith(f"3 of {len(live)} stretches")
 
 
 def test_the_same_residual_is_judged_the_same(plain):
