@@ -16,6 +16,7 @@ import pytest
 from bristle.cli import main as cli
 from bristle.diagnosis import diagnose, load_model
 from bristle.diagnosis.result import Diagnosis
+from bristle.diagnosis.views import STRETCHES
 from bristle.plant.effects import effects
 
 HIDDEN = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07"
@@ -60,12 +61,12 @@ def test_the_gap_shrinks_on_segments_that_were_kept_from_the_search(cogging):
 
 
 def test_it_says_where_the_gap_lived(cogging):
-    strongest = cogging.where[0]
+    strongest = next(view for view in cogging.where if view.view != STRETCHES)  # which are off depends on where it went
     assert strongest.view == "theta"
     assert strongest.label == "7 in a turn"
     assert strongest.p <= 0.01
-    assert strongest.share > 0.5
-    assert strongest.share_after < 0.2
+    assert strongest.share > 0.3
+    assert strongest.share_after < 0.1
 
 
 def test_the_effects_that_were_not_found_have_a_limit_or_a_reason(cogging):
