@@ -134,8 +134,8 @@ def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], val
     information = np.einsum("s,snp,snq->pq", weight, by_parameter, by_parameter) - np.einsum("s,sip,siq->pq", weight, cross, answer)
     prior, curve = _knowledge(free, values)
     return Fit(
-        values, free, starts, np.where(problem.judged, score, 0.0), residual, white, by_parameter, by_start, sens[:, :, -2:], weight,
-        information + np.diag(curve), simulator, prior,
+        values, free, starts, np.where(problem.judged, score, 0.0), residual, white, by_parameter, by_start, sens[:, :, -2:],
+        weight, information + np.diag(curve), simulator, prior,
     )  # fmt: skip
 
 
