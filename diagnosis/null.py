@@ -46,7 +46,9 @@ def directions(columns: Array, weight: Array) -> Array:
     return np.asarray(columns @ (vectors[:, keep] / size[:, None] / np.sqrt(values[keep])))
 
 
-def largest_gain(banks: Mapping[str, Sequence[Array]], rest: Array, weight: Array, seed: int = 1, replicates: int = REPLICATES) -> Null:
+def largest_gain(
+    banks: Mapping[str, Sequence[Array]], rest: Array, weight: Array, seed: int = 1, replicates: int = REPLICATES
+) -> Null:
     """Return the null distribution of the largest score gain.
 
     Parameters

@@ -25,7 +25,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that was added: `gain` is the rise of the log-likelihood over what chance gives; `p` how often chance gives as much."""
+    """An effect that was added: `gain` is the rise of the log-likelihood [nats], `p` how often chance gives as much."""
 
     name: str
     group: str

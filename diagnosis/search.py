@@ -52,12 +52,12 @@ class Bench:
     @property
     def train(self) -> Mask:
         """Segments that the search may see."""
-        return self.segments.judged & (self.segments.block % HELD != HELD - 1)
+        return np.asarray(self.segments.judged & (self.segments.block % HELD != HELD - 1))
 
     @property
     def held(self) -> Mask:
         """Segments kept from the search."""
-        return self.segments.judged & (self.segments.block % HELD == HELD - 1)
+        return np.asarray(self.segments.judged & (self.segments.block % HELD == HELD - 1))
 
     def problem(self, noise: Noise, judged: Mask) -> Problem:
         """Return a problem over these segments."""
