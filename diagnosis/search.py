@@ -257,6 +257,29 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     return Stage(servo, problem, refit(problem, best.fit.simulator, servo.free, best.fit.values, best.fit.starts))
 
 
+def pruned(stage: Stage, bench: Bench, base: Stage) -> tuple[Stage, list[str]]:
+    """Return the servo without the effects that the last one has made needless, and the names of these."""
+    added = [name for name in stage.servo.effects if name not in base.servo.effects]
+    spared = []
+    for name in added[:-1]:
+        less = _without(stage, bench, base, name)
+        if fall(squares(less.fit, bench.train), squares(stage.fit, bench.train)) < MORE:
+            stage = less
+            spared.append(name)
+    return stage, spared
+
+
+def _without(stage: Stage, bench: Bench, base: Stage, name: str) -> Stage:
+    effects = tuple(each for each in stage.servo.effects if each != name)
+    rigid = base.servo.rigid and not set(effects) & set(ELASTIC)
+    own = [f for f in base.servo.free if rigid or not f.name.startswith(f"{RIGID}.")]
+    more = [f for f in stage.servo.free if f.name.split(".")[0] in effects and f.name not in {g.name for g in own}]
+    servo = replace(stage.servo, effects=effects, free=(*own, *more), rigid=rigid)
+    values = {**base.fit.values, **stage.fit.values} | {f.name: base.fit.values[f.name] for f in own if rigid and RIGID in f.name}
+    problem = stage.problem
+    return Stage(servo, problem, refit(problem, servo.simulator(bench.segments), servo.free, values, stage.fit.starts))
+
+
 def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tuple[Stage, list[Verdict]]:
     """Add effects one after the other as long as one is found that is certain and large enough."""
     stage, rounds = base, []
@@ -283,6 +306,10 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
+        stage, spared = pruned(stage, bench, base)
+        if spared:
+            text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
+            rounds[-1] = replace(rounds[-1], decision=text)
         if len(taken) >= MOST or bench.narrow:
             break
     return stage, rounds

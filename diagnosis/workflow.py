@@ -126,12 +126,13 @@ def _conclude(
     gap = _gap(model, bench, base, final)
     remains = _remains(after, named, gap)
     intervals = estimates(model, whole)
+    of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
         answer.Named(
             name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
             v.gain, v.null.p(name, v.gain),
         )
-        for name, v in zip(named, rounds, strict=False)
+        for name, v in ((name, of[name]) for name in named)
     )  # fmt: skip
     own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
     choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in _open(last) and c.fit} if not named else {}
