@@ -17,6 +17,7 @@ Mask = NDArray[np.bool_]
 FREEDOM = 10.0  # of the t distribution: a segment twice as bad as the others counts half as much
 ENOUGH = 0.05  # nats: the search ends when the next step promises less
 ITERATIONS = 15
+WILD = 1e12  # derivatives beyond this, or none, are those of a simulation that failed
 DAMPING = 1e-3
 
 
@@ -110,7 +111,7 @@ def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], val
     """Simulate and return where it stands, without moving anything."""
     seen, sens, good = simulator.run(values, starts, jacobian=True)
     assert sens is not None
-    good = good & np.isfinite(seen).all(axis=1) & np.isfinite(sens).all(axis=(1, 2))
+    good = good & np.isfinite(seen).all(axis=1) & (np.abs(sens).max(axis=(1, 2)) < WILD)
     residual = np.where(good[:, None], problem.seen - seen, 0.0)
     sens = np.where(good[:, None, None], sens, 0.0)
     index = [simulator.names.index(f.name) for f in free]
