@@ -115,7 +115,7 @@ def explore(problem: Problem, servo: Servo, name: str, fit: Fit, lens: Lens, e: 
         simulator = servo.simulator(fit.simulator.segments, (name,))
     except BristleError as error:
         return Candidate(name, None, refused=str(error))
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | _idle(name)
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | idle(name)
     trials, banks, own = [], [], servo.own(name)
     for start in starts(name, e):
         free = freedom(name, start)
@@ -142,10 +142,10 @@ def follow(problem: Problem, candidate: Candidate) -> Candidate:
     return replace(candidate, fit=refit(problem, old.simulator, old.free, old.values, old.starts))
 
 
-def _idle(name: str) -> dict[str, float]:
+def idle(name: str) -> dict[str, float]:
     """Return values at which optional parameters of an effect do nothing."""
-    idle = {"cogging.amplitude2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
-    return {key: value for key, value in idle.items() if key.startswith(f"{name}.")}
+    values = {"cogging.amplitude2": 0.0, "cogging.phase2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
+    return {key: value for key, value in values.items() if key.startswith(f"{name}.")}
 
 
 def _bank(lens: Lens, fit: Fit, first: Fit, count: int) -> Array:

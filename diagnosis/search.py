@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from bristle.diagnosis.fit import Fit, Free, Problem, refit
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
+from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
@@ -38,12 +39,13 @@ HELD = 4  # every fourth segment is kept from the search
 
 @dataclass(frozen=True)
 class Bench:
-    """Everything that stays the same over a search."""
+    """Everything that stays the same over a search; `barred` says why an effect is no candidate."""
 
     segments: Segments
     motion: Motion
     resolution: float
     least: float
+    barred: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def train(self) -> Mask:
@@ -88,6 +90,7 @@ class Verdict:
     ties: tuple[str, ...]
     decision: str
     named: bool = False
+    finer: float | None = None  # gain with finer steps of the simulation
 
 
 def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
@@ -132,7 +135,8 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     tried = []
     for i, name in enumerate(names):
         tell(name, i / max(len(names), 1))
-        tried.append(explore(stage.problem, stage.servo, name, fit, lens, e))
+        barred = bench.barred.get(name, "")
+        tried.append(Candidate(name, None, refused=barred) if barred else explore(stage.problem, stage.servo, name, fit, lens, e))
     reached = [c for c in tried if c.fit is not None]
     nothing = Verdict(tuple(tried), Null(np.zeros(1)), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     if not reached:
@@ -166,7 +170,8 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
             dd=np.sort(c.fit.score-plain.score)[::-1]; print('   ',c.name,'%.1f'%(c.fit.total-plain.total),'s%.2f'%sizes[c.name],'top',np.round(dd[:6],1),'bottom',np.round(dd[-4:],1), 'null',round(null.level,1))
     told = [replace(c, refused="{:.1f} +- {:.1f} s{:.2f}".format(*apart(leader, c), sizes[c.name])) for c in contenders]
     table = {c.name: c for c in tried} | {c.name: c for c in told}
-    return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "")
+    finer = finer_gain(problem, plain, leader.fit)
+    return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "", finer=finer)
 
 
 def _narrowed(
@@ -240,10 +245,13 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         if any(group(name) != group(verdict.best.name) for name in verdict.ties):
             rounds[-1] = replace(verdict, decision="several effects explain it alike")
             break
+        if verdict.finer is not None and not steady(verdict.gain, verdict.finer):
+            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is numerical: its gain changes with the step of the simulation")
+            break
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
-        if len(taken) >= MOST:
+        if len(taken) - len(base.servo.effects) >= MOST:
             break
     return stage, rounds
 
