@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow
-from bristle.diagnosis.fit import Fit, Free, Problem, refit
+from bristle.diagnosis.balance import Balance, Joint
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow, pursue
+from bristle.diagnosis.fit import Fit, Free, Problem, refit, rescored
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
@@ -34,18 +35,23 @@ SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller 
 ODDS = 6.0  # nats between two candidates that keep them apart
 PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error by this, or by this and gains this share of the first
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
+FEWEST = 10  # segments in motion that tell the noise
 HELD = 4  # every fourth segment is kept from the search
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Everything that stays the same over a search; `barred` says why an effect is no candidate."""
+    """Everything that stays the same over a search.
+
+    `barred` says why an effect is no candidate; `turn` is the path after which a motion begins anew: one turn of a shaft.
+    """
 
     segments: Segments
     motion: Motion
     resolution: float
     least: float
     barred: Mapping[str, str] = field(default_factory=dict)
+    turn: float = 2 * math.pi
 
     @property
     def train(self) -> Mask:
@@ -62,10 +68,22 @@ class Bench:
         return Problem(noise, judged, self.segments.seen, self.segments.starts, self.segments.spread)
 
     def noise(self, residual: Array, weight: Array, values: Mapping[str, float]) -> Noise:
-        """Return the noise of a residual (segments, bins)."""
+        """Return the noise of a residual (segments, bins), from the segments in motion.
+
+        At rest friction takes the disturbance and the sensor repeats its last step: that says nothing of their size.
+        """
         s = self.segments
+        share = self.motion.moving.reshape(len(residual), -1).mean(axis=1)
+        in_motion = weight * share
+        weight = in_motion if np.count_nonzero(in_motion > 0.5) >= FEWEST else weight
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
         return estimate(residual, weight, pulses, s.h, self.least)
+
+
+    def joint(self, stage: Stage) -> Joint:
+        """Return where a model and an effect may start together."""
+        balance = Balance(self.segments, self.motion, stage.problem.judged, stage.servo.fixed)
+        return Joint(balance, stage.servo, stage.fit.values, self.noise, self.resolution, self.turn)
 
 
 @dataclass(frozen=True)
@@ -131,12 +149,20 @@ def lens_of(stage: Stage, bench: Bench) -> Lens:
 def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, float], None]) -> Verdict:
     """Try the named effects on top of a fitted servo."""
     fit, lens = stage.fit, lens_of(stage, bench)
-    e = evidence(bench.motion, lens, fit, bench.resolution)
+    e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
+    joint = bench.joint(stage)
+
+    def quiet(left: Fit) -> Problem:
+        return bench.problem(bench.noise(left.residual, left.weight, left.values), stage.problem.judged) if left.weight.any() else stage.problem
+
     tried = []
     for i, name in enumerate(names):
         tell(name, i / max(len(names), 1))
         barred = bench.barred.get(name, "")
-        tried.append(Candidate(name, None, refused=barred) if barred else explore(stage.problem, stage.servo, name, fit, lens, e))
+        if barred:
+            tried.append(Candidate(name, None, refused=barred))
+        else:
+            tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name)))
     reached = [c for c in tried if c.fit is not None]
     nothing = Verdict(tuple(tried), Null(np.zeros(1)), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     if not reached:
@@ -146,13 +172,14 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     promised = max(c.promised for c in reached) - fit.total
     if promised < HOPE * loud.level and promised < HOPELESS:
         return replace(nothing, null=loud, gain=max(promised, 0.0), decision="no gain above what chance gives")
-    tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(stage.problem, c))
-    tried = _narrowed(tried, lambda c: c.fit.total if c.fit else -np.inf, NARROW, lambda c: follow(stage.problem, c))
+    tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(c, quiet))
+    tried = _narrowed(tried, lambda c: c.fit.total if c.fit else -np.inf, NARROW, lambda c: pursue(c, quiet))
     reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None
     gain = leader.fit.total - fit.total
-    null = largest_gain(banks, lens.freed(leader.fit.white[:, :, None])[:, :, 0], fit.weight)
+    left = rescored(stage.problem, leader.fit).white
+    null = largest_gain(banks, lens.freed(left[:, :, None])[:, :, 0], fit.weight)
     if gain <= null.level or leader.merit <= Candidate("", fit).merit:
         return Verdict(tuple(tried), null, fit.total, None, gain, 1.0, (), "no gain above what chance gives")
     contenders = [c for c in reached if c.fit is not None and c.fit.total - fit.total > max(CONTENDER * gain, null.level)]
@@ -265,7 +292,7 @@ def base_servo(
     """
     free = []
     for name, (low, high) in bounds.items():
-        doubt = 2.0 * max(abs(nominal[name]), 1e-3 * (high - low), 1e-12)
+        doubt = max(2.0 * abs(nominal[name]), 0.5 * (high - low), 1e-12)
         free.append(Free(name, low, high, nominal=nominal[name], doubt=doubt))
     rigid = f"{law}.Fc" in nominal and not find_law(law).states
     values = dict(nominal)

@@ -16,7 +16,7 @@ from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, Free, evaluate, refit
 from bristle.diagnosis.intake import Record
-from bristle.diagnosis.lens import Motion, motion
+from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import REACH, Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import Plausibility, check
@@ -56,12 +56,19 @@ def bench_of(model: Model, records: Sequence[Record]) -> Bench:
     kept = [r.y for r in records if len(r.u) >= 3 * length]
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h))
-    return Bench(segments, moved, resolution, least, barred(model, moved))
+    if not model.linear:
+        return Bench(segments, moved, resolution, least)
+    refused = {name: "needs a shaft that turns: this axis is linear" for name in ROTARY}
+    return Bench(segments, moved, resolution, least, refused, float(np.ptp(moved.theta)))
 
 
-def barred(model: Model, moved: Motion) -> dict[str, str]:
-    """Return why effects are no candidates: those of a turning shaft on a linear axis."""
-    return {name: "needs a shaft that turns: this axis is linear" for name in ROTARY} if model.linear else {}
+def limits(bench: Bench) -> dict[str, tuple[float, float]]:
+    """Return how far periods may move: at least two in a turn or, on a linear axis, in the range that was travelled.
+
+    Fewer are no ripple, but any slow change with the position; friction that changes once in a turn has a cause in a shaft.
+    """
+    least = 2 * 2 * math.pi / bench.turn
+    return {name: (least, math.inf) for name in (("cogging.periods", "position_friction.periods") if bench.barred else ("cogging.periods",))}
 
 
 def fixed_values(h: float) -> dict[str, float]:
@@ -133,7 +140,8 @@ def base_of(model: Model, bench: Bench) -> tuple[Servo, dict[str, float]]:
     free = tuple(f for f in servo.free if rigid or not f.name.startswith(f"{RIGID}."))
     own = {f"{effect}.{name}": value for effect, given in model.effects.items() for name, value in given.items()}
     more = tuple(f for effect, given in model.effects.items() for f in _held(effect, given))
-    return replace(servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid), {**values, **own}
+    servo = replace(servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid, limits=limits(bench))
+    return servo, {**values, **own}
 
 
 def _held(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
@@ -142,7 +150,7 @@ def _held(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
     A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never reached, stays.
     """
     resting = {key for key, value in idle(effect).items() if given[key.removeprefix(f"{effect}.")] == value}
-    for f in freedom(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in resting}):
+    for f in freedom(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in resting}, {}):
         value = given[f.name.removeprefix(f"{effect}.")]
         known = math.log(value) if f.factor else value
         yield replace(f, nominal=known, doubt=1.0 if f.factor else 2.0 * abs(value)) if value else f
