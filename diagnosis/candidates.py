@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 Start = tuple[Mapping[str, float], Mapping[str, float]]  # all parameters; those of the effect that move, by short names
 
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
-FINALISTS = 2  # starts from which a step is taken
-LIMITS = {"excess": (0.0, 100.0), "share": (0.02, 0.9), "dissipation": (1e-3, 1e3)}
+FINALISTS = 2  # starts from which steps are taken
+STEPS = 2
+LIMITS = {"stribeck.excess": (0.0, 100.0), "compliance.share": (0.02, 0.9), "compliance.dissipation": (1e-3, 1e3)}
 
 
 RIGID = "bristle_damping"  # friction of a real servo bends a little before it slides: part of every model here
@@ -98,7 +99,7 @@ def freedom(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[fl
         short = p.name.removeprefix(f"{name}.")
         if short not in start:
             continue
-        low, high = LIMITS.get(short, (p.minimum, p.maximum))
+        low, high = LIMITS.get(p.name, (p.minimum, p.maximum))
         factor = p.minimum > 0
         if factor:
             low, high = max(low, start[short] / FACTOR), min(high, start[short] * FACTOR)
@@ -144,9 +145,12 @@ def explore(
         trials.append(_worth(first, quiet))
     for given, start in joint:
         free = freedom(name, start, servo.limits)
-        values = {**defaults, **fit.values, **given}
-        values |= {f.name: f.inside(values[f.name]) for f in (*own, *free)}
-        trials.append(_worth(evaluate(problem, simulator, (*own, *free), values, problem.starts), quiet))
+        alone = {key: value for key, value in given.items() if key.startswith(f"{name}.")}
+        # with the parameters of the balance, and with those of the simulated model: either may be the better neighbourhood
+        for others, begin in ((given, problem.starts), (alone, fit.starts)):
+            values = {**defaults, **fit.values, **others}
+            values |= {f.name: f.inside(values[f.name]) for f in (*own, *free)}
+            trials.append(_worth(evaluate(problem, simulator, (*own, *free), values, begin), quiet))
     trials.sort(key=lambda trial: -trial[0])
     return Candidate(name, trials[0][1], tuple(banks), trials[0][0], tuple(first for _, first in trials[1:FINALISTS]))
 
@@ -159,9 +163,10 @@ def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
 
 
 def advance(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:
-    """Take one step from each of the most promising starts and stand at the better end."""
-    ends = [_refitted(t, quiet, 1) for t in (candidate.fit, *candidate.rivals) if t]
-    return replace(candidate, fit=max(ends, key=lambda t: t.total), rivals=())
+    """Take steps from each of the most promising starts and stand at the better end."""
+    ends = [_worth(_refitted(t, quiet, STEPS), quiet) for t in (candidate.fit, *candidate.rivals) if t]
+    promised, fit = max(ends, key=lambda end: end[0])
+    return replace(candidate, fit=fit, promised=promised, rivals=())
 
 
 def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:

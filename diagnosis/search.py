@@ -173,7 +173,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     if promised < HOPE * loud.level and promised < HOPELESS:
         return replace(nothing, null=loud, gain=max(promised, 0.0), decision="no gain above what chance gives")
     tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(c, quiet))
-    tried = _narrowed(tried, lambda c: c.fit.total if c.fit else -np.inf, NARROW, lambda c: pursue(c, quiet))
+    tried = _narrowed(tried, lambda c: c.promised, NARROW, lambda c: pursue(c, quiet))
     reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None

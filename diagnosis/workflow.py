@@ -32,6 +32,7 @@ STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 LEFT = 0.12  # share of the residual that a view must predict before it is called a missing effect
 CERTAIN = 0.01
+EDGE = 0.1  # of the time, at either end, in which no step is looked for
 MAPS = 6  # views whose residual is drawn
 ROTARY = ("gravity", "eccentric_encoder")  # effects that repeat with the turn of a shaft
 
@@ -63,12 +64,21 @@ def bench_of(model: Model, records: Sequence[Record]) -> Bench:
 
 
 def limits(bench: Bench) -> dict[str, tuple[float, float]]:
-    """Return how far periods may move: at least two in a turn or, on a linear axis, in the range that was travelled.
+    """Return how far parameters of effects may move on this axis and in these records.
 
-    Fewer are no ripple, but any slow change with the position; friction that changes once in a turn has a cause in a shaft.
+    Periods: at least two in a turn or, on a linear axis, in the range that was travelled; fewer are no ripple, but any
+    slow change with the position. (Friction that changes once in a turn has a cause in a shaft.) A step: where enough is
+    seen before and after, else it is a bias with a few odd segments. A stop: touched less than half of the time, else it
+    is a spring or a bias.
     """
     least = 2 * 2 * math.pi / bench.turn
-    return {name: (least, math.inf) for name in (("cogging.periods", "position_friction.periods") if bench.barred else ("cogging.periods",))}
+    periodic = ("cogging.periods", "position_friction.periods") if bench.barred else ("cogging.periods",)
+    first, last = np.quantile(bench.motion.time, [EDGE, 1 - EDGE])
+    middle = float(np.median(bench.motion.theta))
+    return {
+        "disturbance_step.onset": (float(first), float(last)), "hard_stop.upper": (middle, math.inf),
+        "hard_stop.lower": (-math.inf, middle), **{name: (least, math.inf) for name in periodic},
+    }  # fmt: skip
 
 
 def fixed_values(h: float) -> dict[str, float]:
