@@ -16,7 +16,7 @@ SMOOTH = 0.02  # s: half-width of the parabola that gives the velocity
 REST = 0.02  # of the rms speed: below it is rest
 SLOW = 0.1  # of the largest speed: below it is slow
 BAND = 0.95  # share of the input's power below its bandwidth
-LINE = 0.8  # share of the power within a narrow band that makes an input one tone
+LINE = 0.9  # share of the power within a narrow band that makes a motion one oscillation
 DWELL = 0.05  # s in one direction between reversals, so that noise does not reverse
 HALF_TURN = float(np.pi)
 
@@ -47,9 +47,8 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
     reversals = sum(_reversals(m[1], rest, r.h) for m, r in zip(moved, records, strict=True))
     forward = float(np.mean(v > rest))
     backward = float(np.mean(v < -rest))
-    spectrum = [_spectrum(r) for r in records]
-    band = max(each[0] for each in spectrum)
-    tone = min(each[1] for each in spectrum)
+    band = max(_spectrum(r.u, r.h)[0] for r in records)
+    tone = min(_spectrum(m[1], r.h)[1] for m, r in zip(moved, records, strict=True))
     span = max(float(np.ptp(x)) for x in theta)
     slow = float(np.mean((np.abs(v) < SLOW * top) & ~still))
     seconds = sum(len(r) * r.h for r in records)
@@ -61,8 +60,8 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         "input_range": {"lowest": float(np.min(u)), "highest": float(np.max(u)), "unit": model.input_unit},
         "input_rms": _with(model.input_unit, float(np.sqrt(np.mean(u**2)))),
         "input_bandwidth": _with("Hz", band),
-        "input_dominant_tone_share": tone,
         "speed_range": {"lowest": float(np.min(v)), "highest": float(np.max(v)), "unit": f"{length}/s"},
+        "speed_dominant_tone_share": tone,
         "speed_rms": _with(f"{length}/s", float(np.sqrt(np.mean(v**2)))),
         "range_travelled": _with(length, span),
         "path_travelled": _with(length, float(sum(np.sum(np.abs(np.diff(x))) for x in theta))),
@@ -78,8 +77,22 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         gain = model.parameters["b"]
         ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
         numbers["torque_range"] = {"lowest": ends[0], "highest": ends[1], "unit": "N" if model.linear else "N.m"}
+    numbers["narrow"] = _narrow(model, numbers)
     numbers["caveats"] = _caveats(model, numbers)
     return numbers
+
+
+def _narrow(model: Model, numbers: dict[str, Any]) -> str:
+    """Return why effects cannot be told apart by their form on such records, or an empty text.
+
+    Where the servo repeats one motion or hardly turns, speed, position and torque vary together, and nearly any effect
+    can take the place of another that has not quite the form the catalogue gives it.
+    """
+    if numbers["speed_dominant_tone_share"] > LINE:
+        return "the servo repeats one oscillation; record steps of many sizes, a slow pass over several turns and a sweep"
+    if not model.linear and numbers["range_travelled"]["value"] < HALF_TURN:
+        return "the servo moves less than half a turn; record fast and slow motion over several turns"
+    return ""
 
 
 def _with(unit: str, value: float) -> dict[str, Any]:
@@ -111,13 +124,13 @@ def _reversals(v: Array, rest: float, h: float) -> int:
     return int(np.sum(np.diff(kept) != 0))
 
 
-def _spectrum(record: Record) -> tuple[float, float]:
-    """Return the frequency [Hz] below which most of the input's power lies, and the share of its strongest tone."""
-    u = record.u - np.mean(record.u)
-    if not np.any(u):
+def _spectrum(signal: Array, h: float) -> tuple[float, float]:
+    """Return the frequency [Hz] below which most of a signal's power lies, and the share of its strongest tone."""
+    x = signal - np.mean(signal)
+    if not np.any(x):
         return 0.0, 0.0
-    window = min(len(u), max(256, round(10.0 / record.h)))
-    f, power = welch(u, fs=1.0 / record.h, nperseg=window, detrend="constant")
+    window = min(len(x), max(256, round(10.0 / h)))
+    f, power = welch(x, fs=1.0 / h, nperseg=window, detrend="constant")
     total = float(np.sum(power))
     if total <= 0.0:
         return 0.0, 0.0
@@ -155,7 +168,7 @@ def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:
             found.append(f"input bandwidth {band:.2g} Hz: a delay or an electrical pole below about {unseen} s cannot be seen")
         if band < 5.0:
             found.append("input stays below 5 Hz: compliance cannot be seen; add a chirp")
-    if numbers["input_dominant_tone_share"] > LINE:
+    if numbers["speed_dominant_tone_share"] > LINE:
         found.append("one dominant frequency: what depends on speed, position and time varies together")
     ends = numbers["input_range"]
     if ends["lowest"] >= 0.0 or ends["highest"] <= 0.0:

@@ -56,6 +56,7 @@ class Lens:
         self._pulses = response(inertia, damping, segments.h, segments.width, segments.bins, segments.velocity)
         self._h = segments.h
         self._seen = problem.noise.whiten @ self._pulses
+        self._cover, self._starts = np.linalg.inv(problem.noise.whiten), fit.raw_by_start
         self.weight = fit.weight
         prior = problem.spread**-2
         normal = np.einsum("sni,snj->sij", fit.by_start, fit.by_start)
@@ -73,6 +74,11 @@ class Lens:
         """Return whitened columns (segments, bins, k) less what other start states could do."""
         cross = np.einsum("sni,snp->sip", self._by_start, columns)
         return np.asarray(columns - np.einsum("sni,sij,sjp->snp", self._by_start, self._gain, cross))
+
+    def plain(self, columns: Array, which: NDArray[np.int_]) -> Array:
+        """Return whitened columns (segments, bins, k) of some segments as averages [output], start states at their best."""
+        back = np.einsum("nl,slk->snk", self._cover, columns, optimize=True)
+        return np.asarray(back - self._starts[which] @ (np.linalg.pinv(self._starts[which]) @ back))
 
     def through(self, torques: Array) -> Array:
         """Return what torques (samples, k) [N.m] do to the whitened averages (segments, bins, k), start states free.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 REPLICATES = 1999
-LEVEL = 0.01
+LEVEL = 0.002  # one-sided: a search of several rounds shall name something by chance in fewer than one record of a hundred
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Null:
 
     @property
     def level(self) -> float:
-        """What one in a hundred exceeds by chance [nats]."""
+        """What chance exceeds in one search of `1/LEVEL` [nats]."""
         return float(np.quantile(self.draws, 1 - LEVEL))
 
     def p(self, gain: float) -> float:

@@ -16,7 +16,7 @@ from bristle.plant.effects import effects as all_effects
 LOOKS = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
 WORDS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
 EXCITATION = {  # key -> how a person says it; the others read as they are
-    "input_range": "input", "input_dominant_tone_share": "share of its strongest tone", "input_bandwidth": "bandwidth of the input",
+    "input_range": "input", "speed_dominant_tone_share": "share of the strongest tone in the speed", "input_bandwidth": "bandwidth of the input",
     "speed_range": "speed", "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
     "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",
     "backward_share": "time backward", "torque_range": "torque of the drive",

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.balance import Balance, Joint
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow, pursue
-from bristle.diagnosis.fit import Fit, Free, Problem, refit, rescored
+from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit, rescored
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
+from bristle.diagnosis.size import fall, squares
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
 
@@ -25,8 +26,6 @@ Mask = NDArray[np.bool_]
 
 SETTLE = 3  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
-import os
-DEBUG=os.environ.get('BDEBUG')
 HOPE = 0.7  # of the null's level: a search that promises less is over
 HOPELESS = 40.0  # nats: promises beyond this are followed whatever the null says
 WIDE, NARROW = 9, 6  # candidates that go on after their starts, and after one step
@@ -36,6 +35,8 @@ ODDS = 6.0  # nats between two candidates that keep them apart
 PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error by this, or by this and gains this share of the first
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FEWEST = 10  # segments in motion that tell the noise
+RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
+PROOF = -1.0  # nats: likelihood that the segments kept from the search may lose, as when an effect does not show in them
 HELD = 4  # every fourth segment is kept from the search
 
 
@@ -50,6 +51,7 @@ class Bench:
     motion: Motion
     resolution: float
     least: float
+    narrow: str = ""  # why the motion is too uniform to tell effects apart by their form
     barred: Mapping[str, str] = field(default_factory=dict)
     turn: float = 2 * math.pi
 
@@ -109,6 +111,8 @@ class Verdict:
     decision: str
     named: bool = False
     finer: float | None = None  # gain with finer steps of the simulation
+    proven: bool = False  # on segments kept from the search
+    withdrawn: bool = False  # named, but something remained on records of a uniform motion
 
 
 def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
@@ -130,15 +134,6 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
 def group(name: str) -> str:
     """Return the class of an effect."""
     return all_effects()[name].group
-
-
-def mean_square(fit: Fit, mask: Mask) -> float:
-    """Return the mean squared error over segments, start states at their best [output squared]."""
-    move = np.linalg.lstsq  # segments are few and short
-    whiten = fit.residual[mask]
-    columns = fit.raw_by_start[mask]
-    rest = [r - c @ move(c, r, rcond=1e-9)[0] for r, c in zip(whiten, columns, strict=True)]
-    return float(np.mean(np.square(rest)))
 
 
 def lens_of(stage: Stage, bench: Bench) -> Lens:
@@ -185,20 +180,20 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     contenders = [c for c in reached if c.fit is not None and c.fit.total - fit.total > max(CONTENDER * gain, null.level)]
     problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
     plain = refit(problem, fit.simulator, fit.free, fit.values, fit.starts)
-    before = mean_square(plain, bench.train)
-    sizes = {c.name: before / max(mean_square(c.fit, bench.train), 1e-300) for c in contenders if c.fit}
-    large = [c for c in contenders if sizes[c.name] >= SIZE]
-    leader = max(large or contenders, key=lambda c: c.merit)
+    before = squares(plain, bench.train)
+    sizes = {c.name: fall(before, squares(c.fit, bench.train)) for c in contenders if c.fit}
+    large = [c for c in contenders if sizes[c.name] >= SIZE and _proven(problem.only(bench.held), plain, c)]
+    near = [c for c in large if c.fit and c.fit.total - plain.total > RIVAL * (leader.fit.total - plain.total)] if leader.fit else []
+    leader = max(near or contenders, key=lambda c: c.merit)
     assert leader.fit is not None
     gain, size = leader.fit.total - plain.total, sizes[leader.name]
-    ties = tuple(c.name for c in large if c.name != leader.name and _alike(leader, c))
-    if DEBUG:
-        for c in contenders:
-            dd=np.sort(c.fit.score-plain.score)[::-1]; print('   ',c.name,'%.1f'%(c.fit.total-plain.total),'s%.2f'%sizes[c.name],'top',np.round(dd[:6],1),'bottom',np.round(dd[-4:],1), 'null',round(null.level,1))
+    ties = tuple(c.name for c in large if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
     told = [replace(c, refused="{:.1f} +- {:.1f} s{:.2f}".format(*apart(leader, c), sizes[c.name])) for c in contenders]
     table = {c.name: c for c in tried} | {c.name: c for c in told}
     finer = finer_gain(problem, plain, leader.fit)
-    return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "", finer=finer)
+    return Verdict(
+        tuple(table.values()), null, plain.total, leader, gain, size, ties, "", proven=leader in large, finer=finer
+    )
 
 
 def _narrowed(
@@ -237,9 +232,21 @@ def apart(best: Candidate, other: Candidate) -> tuple[float, float]:
     return best.merit - other.merit, float(np.std(difference) * np.sqrt(len(difference)))
 
 
-def _alike(best: Candidate, other: Candidate) -> bool:
-    """True if the records do not tell two candidates apart."""
-    return apart(best, other)[0] < ODDS
+def _proven(held: Problem, plain: Fit, candidate: Candidate) -> bool:
+    """True unless a candidate makes segments less likely that it was not fitted to."""
+    assert candidate.fit is not None
+    scores = [evaluate(held, f.simulator, f.free, f.values, f.starts).score.sum() for f in (candidate.fit, plain)]
+    return bool(scores[0] - scores[1] > PROOF)
+
+
+def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float) -> bool:
+    """True if the records do not tell two candidates apart; where the motion is uniform, any strong one is a rival."""
+    assert best.fit is not None
+    assert other.fit is not None
+    if narrow and best.fit.total - other.fit.total < (1 - RIVAL) * gain:
+        return True
+    no_rival = other.size > best.size and other.fit.total < best.fit.total  # explains no more with more parameters
+    return apart(best, other)[0] < ODDS and not no_rival
 
 
 def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
@@ -263,8 +270,9 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         rounds.append(verdict)
         if verdict.best is None:
             break
-        if verdict.size < SIZE:
-            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is certain but small")
+        if verdict.size < SIZE or not verdict.proven:
+            small = "certain but small" if verdict.size < SIZE else "of no help on segments kept from the search"
+            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}")
             break
         if stage is not base and not (verdict.size >= PLAIN or (verdict.size >= MORE and verdict.gain >= ALSO * rounds[0].gain)):
             rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' may only mend the form of what was added")
@@ -278,7 +286,7 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
-        if len(taken) - len(base.servo.effects) >= MOST:
+        if len(taken) - len(base.servo.effects) >= MOST or bench.narrow:
             break
     return stage, rounds
 

@@ -29,9 +29,9 @@ def words(name: str) -> str:
     return find_effect(name).description
 
 
-def experiment(ties: Sequence[Sequence[str]], remains: Remains) -> str:
-    """Return what to measure next, or an empty text."""
-    lines = []
+def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str) -> str:
+    """Return what to measure next, or an empty text; `narrow` says why the motion is too uniform, if it is."""
+    lines = [f"Name nothing for certain on these records: {narrow}."] if narrow else []
     for tie in ties:
         known = SEPARATE.get(frozenset(tie))
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)

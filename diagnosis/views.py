@@ -6,23 +6,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
+from scipy.stats import f as f_ratio
 
+from bristle.diagnosis.fit import FREEDOM
 from bristle.diagnosis.lens import Lens, Motion
 
 Array = NDArray[np.float64]
 
 FOLDS = 5
-FLIPS = 499  # random signs of segments, for the significance
+FLIPS = 999  # random signs of segments, for the significance
 RIDGE = 1e-3  # of a view's own power
 KNOTS = 9
 TONES = (0.2, 45.0)  # Hz
 PERIODS = 60  # in a turn
+FAR = 5.0  # times the usual squared error, whitened
+STRETCHES = "some stretches"
 STOPS = 5  # widths of elastic elements that make up a hysteresis
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a view predicts: cross-validated share of the whitened residual, its p over all views, and a label."""
+    """What a view predicts: share of the squared error that falls, its p over all views, and a label."""
 
     view: str
     share: float
@@ -66,14 +71,12 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     span = np.column_stack([np.ones_like(m.u), m.u, np.abs(m.u)])
     return {
         "v": hats(m.v, 13),
-        "a": hats(m.a),
         "u": hats(m.u, 13),
         "du": hats(du),
         "t": hats(m.time, 21),
         "theta": turn,
         "theta x direction": way * turn,
         "theta x u": m.u[:, None] * _waves(m.theta, 4),
-        "theta x a": m.a[:, None] * _waves(m.theta, 3),
         "t x direction": way * hats(m.time),
         "t x v": m.v[:, None] * hats(m.time),
         "u x direction": way * np.column_stack([span, hats(np.abs(m.u))]),
@@ -95,43 +98,65 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
     frequency = np.fft.rfftfreq(size, step)
     power = np.abs(np.fft.rfft(even, size)) * ((frequency >= TONES[0]) & (frequency <= TONES[1]))
     tone = float(frequency[int(np.argmax(power))])
+    found = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz")}
     turns = np.arange(1.0, PERIODS + 1)
-    periods = float(turns[int(np.argmax(np.abs(np.exp(-1j * np.outer(turns, theta)) @ r)))])
-    found = {}
-    for view, angle, label in (
-        ("tone", 2 * np.pi * tone * m.time, f"{tone:.3g} Hz"),
-        ("theta", periods * m.theta, f"{periods:.3g} in a turn"),
-    ):
-        found[view] = (np.column_stack([np.sin(angle), np.cos(angle)]), label)
+    spin = np.exp(-1j * np.outer(turns, theta))
+    one, way = np.ones_like(m.u), np.sign(m.v)
+    for view, factors in (  # inertia that varies with position shows in both acceleration and speed squared
+        ("theta", (one,)), ("theta x direction", (way,)), ("theta x u", (m.u,)), ("theta x a", (m.a, m.v**2)),
+    ):  # fmt: skip
+        power = sum(np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors)
+        periods = float(turns[int(np.argmax(power))])
+        waves = [f[:, None] * _waves(periods * m.theta, 1) for f in factors]
+        found[view] = (np.column_stack(waves), f"{periods:.3g} in a turn")
     return found
 
 
 def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dict[str, Array] | None = None) -> list[Share]:
     """Return the views with their shares, the strongest first.
 
-    A view's function is fitted on four fifths of the segments, and the share is what it predicts of the rest. The p of
-    a view is how often the strongest of all views reaches its share when segments get random signs.
+    A view's function is fitted on four fifths of the segments, and its p is how often the strongest of all views
+    predicts the rest as well when segments get random signs. Its share is the power it has in the output.
 
     Source: liu1988 (wild bootstrap).
     """
-    weight = lens.weight
-    live = np.flatnonzero(weight > 0)
-    whole = float(np.einsum("s,sn,sn->", weight, lens.rest, lens.rest))
+    live = np.flatnonzero(lens.weight > 0)
     rng = np.random.default_rng(2)
     signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(FLIPS, len(live)))])
     labels, tables = {}, dict(made if made is not None else bases(m, h, step))
     for view, (waves, label) in _searched(lens, m, rough).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
         labels[view] = label
-    found = {view: _predicted(lens, basis, live, signs) / max(whole, 1e-300) for view, basis in tables.items()}
-    strongest = np.max([np.maximum(draws[1:], 0.0) for draws in found.values()], axis=0)
-    ps = {view: float((1 + np.count_nonzero(strongest >= draws[0])) / (1 + FLIPS)) for view, draws in found.items()}
-    result = [Share(view, max(0.0, float(draws[0])), ps[view], labels.get(view, "")) for view, draws in found.items()]
+    found = {view: _predicted(lens, basis, live, signs) for view, basis in tables.items()}
+    strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
+    ps = {view: float((1 + np.count_nonzero(strongest >= draws[0])) / (1 + FLIPS)) for view, (draws, _) in found.items()}
+    whole = float(np.square(lens.plain(lens.rest[live][:, :, None], live)).mean())
+    result = [
+        Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view], labels.get(view, "")) for view, (_, power) in found.items()
+    ]
+    result.append(_outbreaks(lens, m, live))
     return sorted(result, key=lambda each: -each.share)
 
 
-def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -> Array:
-    """Return for each set of signs by how much the weighted square of held-out segments falls."""
+def _outbreaks(lens: Lens, m: Motion, live: NDArray[np.int_]) -> Share:
+    """Return the share of the squared error in stretches that are off by far more than the rest.
+
+    Its p is the chance of so many of them, if the misfits of segments have the heavy tail that the fit allows them.
+    """
+    misfit = np.square(lens.rest[live]).mean(axis=1)
+    far = misfit > FAR
+    power = np.square(lens.plain(lens.rest[live][:, :, None], live)).mean(axis=(1, 2))
+    p = float(binom.sf(np.count_nonzero(far) - 1, len(live), f_ratio.sf(FAR, lens.rest.shape[1] - 2, FREEDOM)))
+    worst = m.time.reshape(lens.shape)[live[int(np.argmax(misfit))], 0]
+    label = f"{np.count_nonzero(far)} of {len(live)} stretches, the worst at {worst:.3g} s"
+    return Share(STRETCHES, float(power[far].sum() / power.sum()), p, label)
+
+
+def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -> tuple[Array, float]:
+    """Return for each set of signs by how much the weighted square of held-out segments falls, and a power.
+
+    The power is the mean square [output squared] of what the view's function does to the output, less what chance adds.
+    """
     columns = lens.free_of_model(lens.through(basis))[live]
     weight, rest = lens.weight[live], lens.rest[live]
     grams = np.matmul(columns.transpose(0, 2, 1), columns) * weight[:, None, None]
@@ -139,16 +164,19 @@ def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -
     total = grams.sum(axis=0)
     k = len(total)
     ridge = RIDGE * np.trace(total) / k * np.eye(k) + 1e-300 * np.eye(k)
-    fold, fall = np.arange(len(live)) % FOLDS, np.zeros(len(signs))
+    fold, gain = np.arange(len(live)) % FOLDS, np.zeros(len(signs))
     for f in range(FOLDS):
         test = fold == f
         held = grams[test].sum(axis=0)
         learned = np.linalg.solve(total - held + ridge, ((signs[:, ~test]) @ slopes[~test]).T).T
         seen = signs[:, test] @ slopes[test]
-        fall += 2 * np.einsum("rk,rk->r", learned, seen) - np.einsum("rk,kl,rl->r", learned, held, learned, optimize=True)
-    return fall
-
-
+        gain += 2 * np.einsum("rk,rk->r", learned, seen) - np.einsum("rk,kl,rl->r", learned, held, learned, optimize=True)
+    inverse = np.linalg.inv(total + ridge)
+    outer = inverse @ slopes.sum(axis=0)
+    chance = inverse @ (slopes.T @ slopes) @ inverse
+    seen = lens.plain(columns, live).reshape(-1, k)
+    gram = seen.T @ seen / len(seen)
+    return gain, float(outer @ gram @ outer - np.sum(chance * gram))
 
 
 def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, object]:

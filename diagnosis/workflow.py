@@ -20,8 +20,9 @@ from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import REACH, Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import Plausibility, check
-from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, mean_square, search, settle
+from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
+from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import Share, residual_map, shares
 from bristle.model.errors import BristleError
 
@@ -31,7 +32,8 @@ Tell = Callable[[str, float], None]
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 LEFT = 0.12  # share of the residual that a view must predict before it is called a missing effect
-CERTAIN = 0.01
+CERTAIN = 0.002
+MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
 EDGE = 0.1  # of the time, at either end, in which no step is looked for
 MAPS = 6  # views whose residual is drawn
 ROTARY = ("gravity", "eccentric_encoder")  # effects that repeat with the turn of a shaft
@@ -57,10 +59,11 @@ def bench_of(model: Model, records: Sequence[Record]) -> Bench:
     kept = [r.y for r in records if len(r.u) >= 3 * length]
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h))
+    bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"])
     if not model.linear:
-        return Bench(segments, moved, resolution, least)
+        return bench
     refused = {name: "needs a shaft that turns: this axis is linear" for name in ROTARY}
-    return Bench(segments, moved, resolution, least, refused, float(np.ptp(moved.theta)))
+    return replace(bench, barred=refused, turn=float(np.ptp(moved.theta)))
 
 
 def limits(bench: Bench) -> dict[str, tuple[float, float]]:
@@ -175,6 +178,9 @@ def examine(
         said = Plausibility((line,), ())
         return mend_first(model, records, said, mean_square(base.fit, bench.held), time.perf_counter() - begun)
     tell("what remains", 0.85)
+    if bench.narrow and final is not base and _remains(_views(bench, base, final)[1]).flag:
+        why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too uniform a motion to name it"
+        final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
     return _conclude(model, records, bench, base, final, rounds, begun)
 
 
@@ -234,7 +240,7 @@ def _conclude(
         statement=story.statement(verdict, effects, ties, gap, remains, intervals),
         effects=effects,
         ties=tuple(ties),
-        experiment=story.experiment(ties, remains),
+        experiment=story.experiment(ties, remains, bench.narrow),
         where=where,
         remains=remains,
         gap=gap,
@@ -253,15 +259,16 @@ def _conclude(
 
 
 def _open(verdict: Verdict) -> tuple[str, ...]:
-    """Return the members of a tie that was not resolved."""
-    return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and verdict.ties and not verdict.named else ()
+    """Return the members of a tie that was not resolved, or what was withdrawn."""
+    open_ = verdict.best and not verdict.named and (verdict.ties or verdict.withdrawn)
+    return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
 
 
 def _unnamed(last: Verdict) -> str:
     classes = {group(name) for name in _open(last)}
     if not classes:
         return "none"
-    return "tie" if len(classes) <= story.MANY else "not_identifiable"
+    return "tie" if len(classes) <= story.MANY and not last.withdrawn else "not_identifiable"
 
 
 def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
@@ -339,7 +346,7 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
 
 
 def _remains(after: list[Share]) -> answer.Remains:
-    certain = [share for share in after if share.p <= CERTAIN]
+    certain = [share for share in after if share.p <= CERTAIN and share.view not in MEASURED]
     if not certain:
         return answer.Remains(False, None, after[0].share)
     return answer.Remains(certain[0].share >= LEFT, certain[0].view, certain[0].share)

@@ -1,0 +1,29 @@
+"""How large an error is, so that no chance event decides: squares of segments, and by which factor they fall."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis.fit import Fit
+
+Array = NDArray[np.float64]
+
+OUTLYING = 10.0  # of the upper quartile: where a segment counts no more, be it that the servo stuck or slipped by chance
+
+
+def squares(fit: Fit, mask: NDArray[np.bool_]) -> Array:
+    """Return the mean squared error of each segment (segments,), start states at their best [output squared]."""
+    pairs = zip(fit.residual[mask], fit.raw_by_start[mask], strict=True)  # segments are few and short
+    return np.array([np.mean(np.square(r - c @ np.linalg.lstsq(c, r, rcond=1e-9)[0])) for r, c in pairs])
+
+
+def mean_square(fit: Fit, mask: NDArray[np.bool_]) -> float:
+    """Return the mean squared error over segments, start states at their best [output squared]."""
+    return float(np.mean(squares(fit, mask)))
+
+
+def fall(before: Array, after: Array) -> float:
+    """Return by which factor mean squared errors of segments (segments,) fall, none counting more than some usual ones."""
+    most = OUTLYING * max(float(np.quantile(after, 0.75)), 1e-300)
+    return float(np.minimum(before, most).sum() / np.minimum(after, most).sum())
