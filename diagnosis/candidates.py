@@ -81,6 +81,12 @@ class Candidate:
             return -np.inf
         return self.fit.total - 0.5 * self.size * float(np.log(np.count_nonzero(self.fit.weight) + 1.0))
 
+    def inside(self, limits: Mapping[str, tuple[float, float]]) -> bool:
+        """False where a parameter ends at a limit of the records: what it explains there is something else."""
+        assert self.fit is not None
+        near = [(self.fit.values[name], ends) for name, ends in limits.items() if name in [f.name for f in self.fit.free]]
+        return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, ends in near for end in ends if np.isfinite(end))
+
 
 def evidence(motion: Motion, lens: Lens, fit: Fit, resolution: float, turn: float) -> Evidence:
     """Return what effects derive their starting values from; `turn` is the path after which a motion begins anew."""

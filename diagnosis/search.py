@@ -182,7 +182,8 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     plain = refit(problem, fit.simulator, fit.free, fit.values, fit.starts)
     before = squares(plain, bench.train)
     sizes = {c.name: fall(before, squares(c.fit, bench.train)) for c in contenders if c.fit}
-    large = [c for c in contenders if sizes[c.name] >= SIZE and _proven(problem.only(bench.held), plain, c)]
+    held = problem.only(bench.held)
+    large = [c for c in contenders if sizes[c.name] >= SIZE and c.inside(stage.servo.limits) and _proven(held, plain, c)]
     near = [c for c in large if c.fit and c.fit.total - plain.total > RIVAL * (leader.fit.total - plain.total)] if leader.fit else []
     leader = max(near or contenders, key=lambda c: c.merit)
     assert leader.fit is not None
