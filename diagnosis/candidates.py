@@ -21,9 +21,13 @@ Array = NDArray[np.float64]
 Start = tuple[Mapping[str, float], Mapping[str, float]]  # all parameters; those of the effect that move, by short names
 
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
-FINALISTS = 2  # starts from which steps are taken
-STEPS = 2
-LIMITS = {"stribeck.excess": (0.0, 100.0), "compliance.share": (0.02, 0.9), "compliance.dissipation": (1e-3, 1e3)}
+FINALISTS, STEPS = 2, 2  # starts from which steps are taken, and their number
+LIMITS = {  # closer than what can be simulated: what a servo may have
+    "stribeck.excess": (0.0, 100.0),
+    "compliance.share": (0.02, 0.9),
+    "backlash.share": (0.02, 0.9),
+    "backlash.dissipation": (1e-3, 1e3),
+}
 
 
 RIGID = "bristle_damping"  # friction of a real servo bends a little before it slides: part of every model here

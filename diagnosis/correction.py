@@ -25,7 +25,7 @@ SX = ca.SX
 REFUSED = {  # slot of an effect: why no input can stand in for it
     "factor": "changes dry friction, which holds and lets go within a sample; an input that answers a sample later is wrong",
     "bound": "adds dry friction, which holds and lets go within a sample; an input that answers a sample later is wrong",
-    "bristles": "puts bristles under the dry friction, whose deflection an input does not see",
+    "bristles": "puts bristles under the friction, whose bending an input does not see",
     "coupling": "puts a second inertia behind the motor, whose motion an input does not see",
     "output": "changes what is measured, not what the input does",
 }

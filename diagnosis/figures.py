@@ -322,9 +322,9 @@ def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
     drawn = ranked[:BARS]
     best = max((c.gain for c in drawn if math.isfinite(c.gain)), default=0.0)
     right = 1.7 * max(best, each.null_level, 1e-9)
-    ax.axvspan(0, each.null_level, color=GREY, alpha=0.2, linewidth=0)
-    ax.axvline(each.null_level, color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
     for row, candidate in enumerate(drawn):
+        ax.barh(row, candidate.level, color=GREY, alpha=0.25, height=0.98, linewidth=0)
+        ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
         gain = max(candidate.gain, 0.0) if math.isfinite(candidate.gain) else 0.0
         ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
         text = f"{candidate.name}  {candidate.gain:.3g}" + (f"  ({candidate.note})" if candidate.note else "")
@@ -367,7 +367,7 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
         ),
         "candidates": (
             "What each effect would gain",
-            "Rise of the log-likelihood when the effect is added and everything refitted. Grey band: what the best of all "
-            "candidates reaches by chance in 99 of 100 records without any effect. Blue: added; red: tied.",
+            "Rise of the log-likelihood when the effect is added and everything refitted. Grey: what chance gives it, "
+            "all candidates together, in all but two of a thousand records without any effect. Blue: added; red: tied.",
         ),
     }

@@ -91,7 +91,7 @@ class Lens:
     def free_of_model(self, columns: Array) -> Array:
         """Return columns (segments, bins, k) less what the model's own parameters could do."""
         cross = np.einsum("s,snp,snk->pk", self.weight, self.model, columns, optimize=True)
-        return columns - self.model @ (self._own @ cross)
+        return np.asarray(columns - self.model @ (self._own @ cross))
 
     def regress(self, torques: Array) -> tuple[Array, float]:
         """Return coefficients (k,) of torques (samples, k) in the residual, and the log-likelihood they gain [nats]."""

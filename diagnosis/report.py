@@ -16,8 +16,9 @@ from bristle.plant.effects import effects as all_effects
 LOOKS = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
 WORDS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
 EXCITATION = {  # key -> how a person says it; the others read as they are
-    "input_range": "input", "speed_dominant_tone_share": "share of the strongest tone in the speed", "input_bandwidth": "bandwidth of the input",
-    "speed_range": "speed", "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
+    "input_range": "input", "speed_dominant_tone_share": "share of the strongest tone in the speed",
+    "input_bandwidth": "bandwidth of the input", "speed_range": "speed",
+    "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
     "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",
     "backward_share": "time backward", "torque_range": "torque of the drive",
 }  # fmt: skip
@@ -218,8 +219,7 @@ def _rounds(diagnosis: Diagnosis) -> str:
 def _best(candidate: Candidate | None) -> str:
     if candidate is None:
         return "–"
-    shrink = f", shrink {100 * candidate.shrink:.0f} %" if math.isfinite(candidate.shrink) else ""
-    return f'{escape(candidate.name)}<div class="sub">gain {number(candidate.gain, 3)} nats{shrink}</div>'
+    return f'{escape(candidate.name)}<div class="sub">gain {number(candidate.gain, 3)} nats</div>'
 
 
 def _files(files: Mapping[str, str]) -> str:

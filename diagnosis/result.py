@@ -25,7 +25,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that was added: `gain` is the rise of the log-likelihood over its null's 99 % level, per segment."""
+    """An effect that was added: `gain` is the rise of the log-likelihood [nats], `p` how often chance gives as much."""
 
     name: str
     group: str
@@ -36,17 +36,17 @@ class Named:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One bar of the chart of a round: gain of an effect [nats] beside the null's level; why it was dropped, if it was."""
+    """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, why it was dropped if so."""
 
     name: str
     gain: float
-    shrink: float
+    level: float
     note: str = ""
 
 
 @dataclass(frozen=True)
 class Round:
-    """One step of the stepwise search: all candidates, the 99 % null level of the largest gain, and what was decided."""
+    """One step of the stepwise search: all candidates, the level of its best one that chance reaches, and what was decided."""
 
     candidates: tuple[Candidate, ...]
     null_level: float

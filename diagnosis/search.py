@@ -18,6 +18,7 @@ from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
 from bristle.diagnosis.size import fall, squares
+from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
 
@@ -26,17 +27,18 @@ Mask = NDArray[np.bool_]
 
 SETTLE = 3  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
-HOPE = 0.7  # of the null's level: a search that promises less is over
-HOPELESS = 40.0  # nats: promises beyond this are followed whatever the null says
+HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
 WIDE, NARROW = 9, 6  # candidates that go on after their starts, and after one step
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
-PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error by this, or by this and gains this share of the first
+PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error so, or so and gains this share of the first one
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FEWEST = 10  # segments in motion that tell the noise
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
-PROOF = -1.0  # nats: likelihood that the segments kept from the search may lose, as when an effect does not show in them
+MARK = 3.0  # nats: what one segment may say about it
+RATIO = 3.3  # nats that a further parameter must gain
+LOSS, SHARE = 1.0, 0.1  # nats, and share of the gain, that the segments kept from the search may lose by chance
 HELD = 4  # every fourth segment is kept from the search
 
 
@@ -58,12 +60,12 @@ class Bench:
     @property
     def train(self) -> Mask:
         """Segments that the search may see."""
-        return self.segments.judged & (self.segments.block % HELD != HELD - 1)
+        return np.asarray(self.segments.judged & (self.segments.block % HELD != HELD - 1))
 
     @property
     def held(self) -> Mask:
         """Segments kept from the search."""
-        return self.segments.judged & (self.segments.block % HELD == HELD - 1)
+        return np.asarray(self.segments.judged & (self.segments.block % HELD == HELD - 1))
 
     def problem(self, noise: Noise, judged: Mask) -> Problem:
         """Return a problem over these segments."""
@@ -148,7 +150,9 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     joint = bench.joint(stage)
 
     def quiet(left: Fit) -> Problem:
-        return bench.problem(bench.noise(left.residual, left.weight, left.values), stage.problem.judged) if left.weight.any() else stage.problem
+        if not left.weight.any():
+            return stage.problem
+        return bench.problem(bench.noise(left.residual, left.weight, left.values), stage.problem.judged)
 
     tried = []
     for i, name in enumerate(names):
@@ -159,33 +163,36 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
         else:
             tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name)))
     reached = [c for c in tried if c.fit is not None]
-    nothing = Verdict(tuple(tried), Null(np.zeros(1)), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
+    nothing = Verdict(tuple(tried), Null(np.zeros(1), {}), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     if not reached:
         return nothing
-    banks = [bank for c in reached for bank in c.banks]
-    loud = largest_gain(banks, lens.rest, fit.weight)  # with all that is missing still in the residual: an upper bound
-    promised = max(c.promised for c in reached) - fit.total
-    if promised < HOPE * loud.level and promised < HOPELESS:
-        return replace(nothing, null=loud, gain=max(promised, 0.0), decision="no gain above what chance gives")
     tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(c, quiet))
-    tried = _narrowed(tried, lambda c: c.promised, NARROW, lambda c: pursue(c, quiet))
+    null = _null(stage.problem, lens, fit, tried)
+    hopeful = {c.name for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)}
+    tried = _narrowed(
+        tried, lambda c: c.promised if c.name in hopeful else -np.inf, min(NARROW, len(hopeful)), lambda c: pursue(c, quiet)
+    )
+    null = _null(stage.problem, lens, fit, tried) if hopeful else null
     reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None
     gain = leader.fit.total - fit.total
-    left = rescored(stage.problem, leader.fit).white
-    null = largest_gain(banks, lens.freed(left[:, :, None])[:, :, 0], fit.weight)
-    if gain <= null.level or leader.merit <= Candidate("", fit).merit:
+    beyond = [c for c in reached if c.fit is not None and c.fit.total - fit.total > null.level(c.name)]
+    if not beyond or leader.merit <= Candidate("", fit).merit:
         return Verdict(tuple(tried), null, fit.total, None, gain, 1.0, (), "no gain above what chance gives")
-    contenders = [c for c in reached if c.fit is not None and c.fit.total - fit.total > max(CONTENDER * gain, null.level)]
+    leader = max(beyond, key=lambda c: c.merit)
+    assert leader.fit is not None
+    gain = leader.fit.total - fit.total
+    contenders = [c for c in beyond if c.fit is not None and c.fit.total - fit.total > CONTENDER * gain]
     problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
     plain = refit(problem, fit.simulator, fit.free, fit.values, fit.starts)
     before = squares(plain, bench.train)
-    sizes = {c.name: fall(before, squares(c.fit, bench.train)) for c in contenders if c.fit}
+    sizes = {c.name: fall(before, squares(c.fit, bench.train), find_effect(c.name).local) for c in contenders if c.fit}
     held = problem.only(bench.held)
     large = [c for c in contenders if sizes[c.name] >= SIZE and c.inside(stage.servo.limits) and _proven(held, plain, c)]
-    near = [c for c in large if c.fit and c.fit.total - plain.total > RIVAL * (leader.fit.total - plain.total)] if leader.fit else []
-    leader = max(near or contenders, key=lambda c: c.merit)
+    enough = plain.total + RIVAL * (leader.fit.total - plain.total if leader.fit else 0.0)
+    leader = max([c for c in large if c.fit and c.fit.total > enough] or contenders, key=lambda c: c.merit)
+    leader = max([c for c in large if _spares(c, leader)] or [leader], key=lambda c: c.merit)
     assert leader.fit is not None
     gain, size = leader.fit.total - plain.total, sizes[leader.name]
     ties = tuple(c.name for c in large if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
@@ -195,6 +202,15 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     return Verdict(
         tuple(table.values()), null, plain.total, leader, gain, size, ties, "", proven=leader in large, finer=finer
     )
+
+
+def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) -> Null:
+    """Return the null of the largest gain; what the best candidate explains does not count as noise."""
+    reached = [c for c in tried if c.fit is not None]
+    leader = max(reached, key=lambda c: c.merit)
+    assert leader.fit is not None
+    rest = lens.freed(rescored(problem, leader.fit).white[:, :, None])[:, :, 0]
+    return largest_gain({c.name: c.banks for c in reached}, rest, fit.weight)
 
 
 def _narrowed(
@@ -236,8 +252,19 @@ def apart(best: Candidate, other: Candidate) -> tuple[float, float]:
 def _proven(held: Problem, plain: Fit, candidate: Candidate) -> bool:
     """True unless a candidate makes segments less likely that it was not fitted to."""
     assert candidate.fit is not None
-    scores = [evaluate(held, f.simulator, f.free, f.values, f.starts).score.sum() for f in (candidate.fit, plain)]
-    return bool(scores[0] - scores[1] > PROOF)
+    scores = [evaluate(held, f.simulator, f.free, f.values, f.starts).score for f in (candidate.fit, plain)]
+    gain = max(candidate.fit.total - plain.total, 0.0)
+    return bool(np.clip(scores[0] - scores[1], -MARK, MARK).sum() > -LOSS - SHARE * gain)
+
+
+def _spares(plain: Candidate, rich: Candidate) -> bool:
+    """True if a candidate does with fewer parameters what another does no better than by chance.
+
+    Source: wilks1938 (likelihood ratio of a model within another, 1 %).
+    """
+    assert plain.fit is not None
+    assert rich.fit is not None
+    return plain.size < rich.size and rich.fit.total - plain.fit.total < RATIO * (rich.size - plain.size)
 
 
 def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float) -> bool:
@@ -246,8 +273,7 @@ def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float) -> bool
     assert other.fit is not None
     if narrow and best.fit.total - other.fit.total < (1 - RIVAL) * gain:
         return True
-    no_rival = other.size > best.size and other.fit.total < best.fit.total  # explains no more with more parameters
-    return apart(best, other)[0] < ODDS and not no_rival
+    return apart(best, other)[0] < ODDS and not _spares(best, other)
 
 
 def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
@@ -273,16 +299,19 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
             break
         if verdict.size < SIZE or not verdict.proven:
             small = "certain but small" if verdict.size < SIZE else "of no help on segments kept from the search"
-            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}")
+            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}", ties=())
             break
-        if stage is not base and not (verdict.size >= PLAIN or (verdict.size >= MORE and verdict.gain >= ALSO * rounds[0].gain)):
-            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' may only mend the form of what was added")
+        worth = verdict.size >= PLAIN or (verdict.size >= MORE and verdict.gain >= ALSO * rounds[0].gain)
+        if stage is not base and not worth:
+            mends = f"'{verdict.best.name}' may only mend the form of what was added"
+            rounds[-1] = replace(verdict, decision=mends, ties=())
             break
         if any(group(name) != group(verdict.best.name) for name in verdict.ties):
             rounds[-1] = replace(verdict, decision="several effects explain it alike")
             break
         if verdict.finer is not None and not steady(verdict.gain, verdict.finer):
-            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is numerical: its gain changes with the step of the simulation")
+            why = f"'{verdict.best.name}' is numerical: its gain changes with the step of the simulation"
+            rounds[-1] = replace(verdict, decision=why)
             break
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)

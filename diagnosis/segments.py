@@ -18,6 +18,7 @@ from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import servo_program
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SEGMENT = 0.4  # s: long enough for friction and inertia to show, short enough for a disturbance not to drift away
 BINS = 50  # averages a segment: what is faster than 60 Hz in 0.4 s is the resolution's
@@ -68,7 +69,7 @@ class Segments:
         return np.concatenate([piece.spread for piece in self.pieces])
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def judged(self) -> Mask:
         """False for the first segment of each record."""
         return np.concatenate([np.arange(len(piece.seen)) > 0 for piece in self.pieces])
 
@@ -167,7 +168,7 @@ class Simulator:
                 other._v[index[name]] *= factor
         return other
 
-    def run(self, values: Mapping[str, float], starts: Array, jacobian: bool = False) -> tuple[Array, Array | None, Array]:
+    def run(self, values: Mapping[str, float], starts: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask]:
         """Simulate all segments from the given states (segments, 2).
 
         Returns
@@ -187,7 +188,7 @@ class Simulator:
         seen, sens, good = zip(*parts, strict=True)
         return np.concatenate(seen), np.concatenate(sens) if jacobian else None, np.concatenate(good)
 
-    def _piece(self, piece: Piece, values: Mapping[str, float], starts: Array, jacobian: bool) -> tuple[Array, Array, Array]:
+    def _piece(self, piece: Piece, values: Mapping[str, float], starts: Array, jacobian: bool) -> tuple[Array, Array, Mask]:
         native, library, bins = self._native, self._native.library, self.segments.bins
         v, n = self._v.copy(), len(piece.seen)
         for name, value in values.items():

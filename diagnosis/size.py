@@ -23,7 +23,10 @@ def mean_square(fit: Fit, mask: NDArray[np.bool_]) -> float:
     return float(np.mean(squares(fit, mask)))
 
 
-def fall(before: Array, after: Array) -> float:
-    """Return by which factor mean squared errors of segments (segments,) fall, none counting more than some usual ones."""
-    most = OUTLYING * max(float(np.quantile(after, 0.75)), 1e-300)
+def fall(before: Array, after: Array, local: bool = False) -> float:
+    """Return by which factor mean squared errors of segments (segments,) fall.
+
+    None counts more than some usual ones, unless the effect is `local`: one that can only show in a few segments.
+    """
+    most = np.inf if local else OUTLYING * max(float(np.quantile(after, 0.75)), 1e-300)
     return float(np.minimum(before, most).sum() / np.minimum(after, most).sum())

@@ -18,7 +18,8 @@ SEPARATE = {  # what tells effects of one class apart
     "a constant torque shifts both break-away torques the same way, friction that differs by direction does not act at rest",
     frozenset({"input_delay", "electrical_pole"}): "drive it with a sweep to ever higher frequencies: the phase lag of a dead time "
     "grows without limit, that of the winding ends at a quarter period",
-    frozenset({"presliding", "bristle_damping"}): "add small, fast motion that never breaks away: only damping makes it lose energy",
+    frozenset({"presliding", "bristle_damping"}): "add small, fast motion that never breaks away: "
+    "only damping makes it lose energy",
 }
 UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
 MANY = 3  # classes in a tie from which on the records name nothing
@@ -58,15 +59,16 @@ def _limit(c: Candidate, null: Null, model: Model) -> str:
     effect = find_effect(c.name)
     needs = f"needs {effect.excitation}"
     strength = effect.parameters[0]
-    if c.fit is None or not strength.minimum <= 0 <= strength.maximum or strength.name not in [f.name for f in c.fit.free]:
+    proportional = strength.minimum <= 0 <= strength.maximum and not effect.local  # nothing is left of it at zero
+    if c.fit is None or not proportional or strength.name not in [f.name for f in c.fit.free]:
         return f"no trace; {needs}"
     place = [f.name for f in c.fit.free].index(strength.name)
     spread = float(np.linalg.pinv(c.fit.information, rcond=1e-12, hermitian=True)[place, place])
-    limit = math.sqrt(2 * null.level * max(spread, 0.0))
+    limit = math.sqrt(2 * null.level(c.name) * max(spread, 0.0))
     if not math.isfinite(limit) or limit == 0 or limit > min(strength.maximum, 1e5):
         return f"these records cannot show it: it {needs}"
     unit = model.unit(strength.name)
-    return f"a {strength.description} above {limit:.2g}{'' if unit == '1' else ' ' + unit} would have been seen"
+    return f"{strength.description}: more than {limit:.2g}{'' if unit == '1' else ' ' + unit} would have been seen"
 
 
 def value(e: Estimate) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.stats import f as f_ratio
 
 from bristle.diagnosis.fit import FREEDOM
 from bristle.diagnosis.lens import Lens, Motion
+from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,14 @@ class Share:
     share: float
     p: float
     label: str = ""
+
+
+def appearances(name: str) -> set[str]:
+    """Return the views in which an effect shows, in its own form or in one that is close to it."""
+    effect = find_effect(name)
+    kin = {"u": ("u", "u x direction", "v x u"), "history": ("history", STRETCHES), "frequency": ("tone",)}
+    found = {view for own in effect.residual for view in kin.get(own, (own,))}
+    return found | {STRETCHES} if effect.local else found
 
 
 def hats(x: Array, knots: int = KNOTS) -> Array:
@@ -105,7 +115,7 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
     for view, factors in (  # inertia that varies with position shows in both acceleration and speed squared
         ("theta", (one,)), ("theta x direction", (way,)), ("theta x u", (m.u,)), ("theta x a", (m.a, m.v**2)),
     ):  # fmt: skip
-        power = sum(np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors)
+        power = np.sum([np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors], axis=0)
         periods = float(turns[int(np.argmax(power))])
         waves = [f[:, None] * _waves(periods * m.theta, 1) for f in factors]
         found[view] = (np.column_stack(waves), f"{periods:.3g} in a turn")
@@ -179,13 +189,14 @@ def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -
     return gain, float(outer @ gram @ outer - np.sum(chance * gram))
 
 
-def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, object]:
+def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, Any]:
     """Return the residual torques (samples,) averaged in bins of a view, as the fields of `result.View`."""
     along, _, side = view.partition(" x ")
     x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "theta": m.theta}.get(along, m.time)
     way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)
     groups = [m.moving] if way is None else [m.moving & (way > 0), m.moving & (way < 0)]
-    edges = np.linspace(*np.quantile(x, [0.002, 0.998]), bins + 1)
+    low, high = np.quantile(x, [0.002, 0.998]).tolist()
+    edges = np.linspace(low, high, bins + 1)
     if not edges[-1] > edges[0]:
         return {}
     place = np.digitize(x, edges) - 1

@@ -23,7 +23,7 @@ from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.views import Share, residual_map, shares
+from bristle.diagnosis.views import Share, appearances, residual_map, shares
 from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
@@ -31,8 +31,10 @@ Tell = Callable[[str, float], None]
 
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
-LEFT = 0.12  # share of the residual that a view must predict before it is called a missing effect
-CERTAIN = 0.002
+LEFT = 0.15  # share of the squared error that a view must explain before something is said to remain
+CERTAIN = 0.01
+OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
+# quite the catalogue's leaves as much) and in any other
 MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
 EDGE = 0.1  # of the time, at either end, in which no step is looked for
 MAPS = 6  # views whose residual is drawn
@@ -178,7 +180,8 @@ def examine(
         said = Plausibility((line,), ())
         return mend_first(model, records, said, mean_square(base.fit, bench.held), time.perf_counter() - begun)
     tell("what remains", 0.85)
-    if bench.narrow and final is not base and _remains(_views(bench, base, final)[1]).flag:
+    narrow = bool(bench.narrow) and final is not base
+    if narrow and _remains(_views(bench, base, final)[1], (), _gap(model, bench, base, final)).flag:
         why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too uniform a motion to name it"
         final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
     return _conclude(model, records, bench, base, final, rounds, begun)
@@ -186,7 +189,8 @@ def examine(
 
 def better_unbound(model: Model, bench: Bench, base: Stage, final: Stage) -> str | None:
     """Return a proposal where wider bounds alone explain the records better than the effects that were found within them."""
-    tight = {f.name: f for f in base.servo.free if f.name in model.bounds and f.stuck(base.fit.values[f.name]) and base.fit.values[f.name]}
+    stuck = (f for f in base.servo.free if f.name in model.bounds and f.stuck(base.fit.values[f.name]))
+    tight = {f.name: f for f in stuck if base.fit.values[f.name] != 0.0}
     if not tight:
         return None
     ends = {name: sorted((f.low / REACH, f.high * REACH)) for name, f in tight.items()}
@@ -211,7 +215,8 @@ def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mappi
             unit = "" if e.unit == "1" else f" {e.unit}"
             later = "" if name not in whole or whole[name].at_bound else "; with what was found it does not"
             advice = "none is seen in these records" if e.value == 0.0 == low else "widen it if it may be wrong"
-            lines.append(f"the base refit of {name} ends at its bound {e.value:.4g}{unit} of [{low:.4g}, {high:.4g}]{later}: {advice}")
+            where = f"its bound {e.value:.4g}{unit} of [{low:.4g}, {high:.4g}]"
+            lines.append(f"the base refit of {name} ends at {where}{later}: {advice}")
     return lines
 
 
@@ -221,15 +226,16 @@ def _conclude(
     whole, plain = _whole(bench, final), estimates(model, _whole(bench, base))
     where, after = _views(bench, base, final)
     last = rounds[-1]
-    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if (v.best and v.ties and v.named) or (v is last and v.ties)]
+    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
     named = final.servo.effects[len(model.effects) :]
     verdict = "named" if named else _unnamed(last)
-    gap, remains = _gap(model, bench, base, final), _remains(after)
+    gap = _gap(model, bench, base, final)
+    remains = _remains(after, named, gap)
     intervals = estimates(model, whole)
     effects = tuple(
         answer.Named(
             name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
-            v.gain, v.null.p(v.gain),
+            v.gain, v.null.p(name, v.gain),
         )
         for name, v in zip(named, rounds, strict=False)
     )  # fmt: skip
@@ -277,12 +283,11 @@ def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
     for piece in s.pieces:
         n = len(piece.seen)
         part = slice(first, first + n)
-        time_ = piece.time + s.h * (s.width * np.arange(n * s.bins) + (s.width - 1) / 2)
+        time_ = piece.time + s.h * (s.width * np.arange(n * s.bins, dtype=np.float64) + (s.width - 1) / 2)
         held = np.repeat(bench.held[part], s.bins)
-        simulated = [(piece.seen - fit.residual[part]).ravel() for fit in (before, after)]
-        traces.append(
-            answer.Trace(piece.name, time_, piece.u.reshape(-1, s.width).mean(axis=1), piece.seen.ravel(), *simulated, held)
-        )
+        old, new = ((piece.seen - fit.residual[part]).ravel() for fit in (before, after))
+        u = piece.u.reshape(-1, s.width).mean(axis=1)
+        traces.append(answer.Trace(piece.name, time_, u, piece.seen.ravel(), old, new, held))
         first += n
     return tuple(traces)
 
@@ -307,7 +312,7 @@ def covariance(problem_fit: Fit) -> Array:
     slope -= np.einsum("sip,si->sp", cross, np.linalg.solve(normal, pull[:, :, None])[:, :, 0])
     scores = slope * fit.weight[:, None]
     inverse = np.linalg.pinv(fit.information, rcond=1e-14, hermitian=True)
-    n = max(np.count_nonzero(fit.weight) - len(fit.free), 1)
+    n = max(int(np.count_nonzero(fit.weight)) - len(fit.free), 1)
     return np.asarray(inverse @ (scores.T @ scores) @ inverse * (n + len(fit.free)) / n)
 
 
@@ -337,7 +342,7 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
         torques.append(torque.ravel())
     before, after = found
     table = {share.view: share for share in after}
-    views = []
+    views: list[answer.View] = []
     for share in before:
         late = table[share.view]
         drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if len(views) < MAPS else {}
@@ -345,11 +350,17 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
     return tuple(views), after
 
 
-def _remains(after: list[Share]) -> answer.Remains:
+def _remains(after: list[Share], named: Sequence[str], gap: answer.Gap) -> answer.Remains:
+    """Say whether something predictable is left that is neither small nor only the form of what was named."""
     certain = [share for share in after if share.p <= CERTAIN and share.view not in MEASURED]
     if not certain:
         return answer.Remains(False, None, after[0].share)
-    return answer.Remains(certain[0].share >= LEFT, certain[0].view, certain[0].share)
+    own = {view for name in named for view in appearances(name)}
+    left = gap.after / gap.before if named and gap.before > 0 else 1.0
+    for share in certain:
+        if share.share >= LEFT and share.share * left >= (OWN if share.view in own else OTHER):
+            return answer.Remains(True, share.view, share.share)
+    return answer.Remains(False, certain[0].view, certain[0].share)
 
 
 def _gap(model: Model, bench: Bench, base: Stage, final: Stage) -> answer.Gap:
@@ -374,7 +385,8 @@ def _round(v: Verdict) -> answer.Round:
     bars = []
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else 0.0
-        bars.append(answer.Candidate(c.name, gain, 0.0, c.refused))
+        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused))
     bars.sort(key=lambda bar: -bar.gain)
     added = v.best.name if v.best and v.named else None
-    return answer.Round(tuple(bars), v.null.level, v.null.p(v.gain), added, v.decision, v.gain, v.size, v.finer)
+    top = v.best.name if v.best else bars[0].name if bars else ""
+    return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size, v.finer)

@@ -228,9 +228,9 @@ class Program:
                 add("seen_jacobian", [self._derivative(system, system.outputs[self.observed][1])], to_output=True)
         if system.smooth:
             add("rates", [(system.rate_vector(), range(n))], to_output=True)
-            unknowns = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
+            found = ca.vertcat(system.rate_vector(), *(expression for _, expression in system.outputs.values()))
             knowns = system.vector([*system.states, *system.inputs])
-            jacobian = ca.jacobian(unknowns, knowns)
+            jacobian = ca.jacobian(found, knowns)
             add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
         return variant
 
@@ -247,8 +247,7 @@ class Program:
             by_known = ca.jacobian(equation, knowns)
             for symbol, slope in slopes:
                 by_known += ca.jacobian(equation, symbol) @ slope
-            moves = ca.if_else(unknown.symbol > 0, 1 / ca.jacobian(equation, unknown.symbol), 0)
-            slopes.append((unknown.symbol, -moves * by_known))
+            slopes.append((unknown.symbol, -by_known / ca.jacobian(equation, unknown.symbol)))
             jacobian += ca.jacobian(system.expand(values), unknown.symbol) @ slopes[-1][1]
         jacobian = _solved(jacobian, [replace(u, solution=system.expand(u.solution)) for u in unknowns])
         return ca.vec(jacobian.T), range(jacobian.numel())

@@ -76,7 +76,8 @@ def proximal(system: System, h: SX) -> tuple[SX, list[Unknown]]:
     factors = Elimination(SX.eye(x.shape[0]) / h - weight * a)
     y = factors.forward(f + weight * h * ca.jacobian(f, system.time))
     row = _Row(dry, v, y[-1], y[-1] - a[-1, -1] * v, factors.a[-1][-1], weight, h)
-    after, unknowns = {}, []
+    after: dict[str, SX] = {}
+    unknowns: list[Unknown] = []
     if dry.deflection is None:
         dv, mean = _slip(row)
     else:
@@ -110,7 +111,8 @@ def _path(row: _Row, side: SX, z: SX, from_v: SX, pull: SX, share: SX, level: SX
 
     Bristles relax with the distance d: z = s + (z0 - s) exp(-d/b), with b = level / stiffness and s = side b, so that
     their mean force along the way is a function of d alone, and d solves one scalar equation. It is concave and rises:
-    Newton's steps from the left, from where it would slide, close in on it from one side.
+    Newton's steps from the left, from where it would slide, close in on it from one side. A negative distance belongs to
+    a step that reverses in its first half; there the equation goes on along its tangent, and the distance tells when.
     """
     dry, tau = row.dry, share * row.h
     pivot, weight = row.pivot / share, ca.if_else(share < 1, 0.5, row.weight)
@@ -121,18 +123,22 @@ def _path(row: _Row, side: SX, z: SX, from_v: SX, pull: SX, share: SX, level: SX
     slope = pivot / (weight * tau)
 
     def equation(d: SX) -> tuple[SX, SX]:
-        q = d / length
+        ahead = ca.fmax(d, 0)
+        q = ahead / length
         decay = ca.exp(-q)
         small = q < 1e-4  # there the closed forms lose their digits
         mean = ca.if_else(small, 1 - q / 2 + q * q / 6, (1 - decay) / ca.if_else(small, 1, q))
         bend = ca.if_else(small, -0.5 + q / 3, (decay - mean) / ca.if_else(small, 1, q))  # derivative of the mean by q
-        value = slope * d - offset - elastic * gap * mean + viscous * gap * (1 - decay)
-        return value, slope - elastic * gap * bend / length + viscous * gap * decay / length
+        value = slope * ahead - offset - elastic * gap * mean + viscous * gap * (1 - decay)
+        rise = slope - elastic * gap * bend / length + viscous * gap * decay / length
+        return value + rise * (d - ahead), rise
 
+    value, rise = equation(SX(0))
+    least = ca.fmin(-value / rise, 0)
     solution = ca.fmax(offset / slope, 0)
     for _ in range(NEWTON):
         value, rise = equation(solution)
-        solution = ca.fmax(solution - value / rise, 0)
+        solution = ca.fmax(solution - value / rise, least)
     d = SX.sym("d")
     return Unknown(d, solution, equation(d)[0]), side * length - side * gap * ca.exp(-d / length)
 

@@ -115,6 +115,8 @@ class Effect:
         Names of the effects it is easily taken for.
     rank : int
         Effects act in the order of (rank, name), whatever the order they are given in.
+    local : bool
+        True if it only acts beyond a limit, so that it may show in a few stretches of a record.
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
     states, rates : tuple of State, function
@@ -152,6 +154,7 @@ class Effect:
     confounded: tuple[str, ...]
     parameters: tuple[Parameter, ...]
     rank: int = 0
+    local: bool = False
     load_side: bool = False
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None

@@ -36,6 +36,7 @@ EFFECT = Effect(
     group="hard_stop",
     equation="T = -k max(theta - upper, 0) + k max(lower - theta, 0)",
     residual=("theta",),
+    local=True,
     excitation="motion that reaches the stop",
     confounded=("gravity",),
     parameters=(

@@ -35,6 +35,7 @@ EFFECT = Effect(
         Parameter("saturation.limit", "s", "V", 4.0, 0.0, 1e6, "largest input that has an effect", "khalil2002 section 1.2"),
     ),
     rank=2,
+    local=True,
     command=command,
     starts=starts,
 )

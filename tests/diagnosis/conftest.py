@@ -6,6 +6,7 @@ import importlib.util
 import sys
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,8 +15,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bristle.diagnosis import Model
+from bristle.diagnosis import Model, Record, records_from_arrays
 from bristle.diagnosis.result import Diagnosis
+from bristle.diagnosis.search import Bench, Stage, settle
+from bristle.diagnosis.workflow import base_of, bench_of
 from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.model.program import Program
@@ -94,6 +97,38 @@ def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
         return t, u, np.floor(out[:-1, 0] / STEP) * STEP, out[:-1, 1]
 
     return run
+
+
+OFF = {"J": 0.012, "a2": 0.016, "Fc": 0.1}  # nominal values of the model that is to be mended
+SECONDS = 8.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two short records of a servo with an effect (or None), simulated at a tenth of the diagnosis' step, and a model."""
+
+    model: Model
+    records: list[Record]
+    bench: Bench
+    base: Stage
+
+
+@pytest.fixture(scope="session")
+def case(measured: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> Callable[[str | None], Case]:
+    """Return what makes the case of an effect, each once."""
+    made: dict[str | None, Case] = {}
+
+    def of(name: str | None) -> Case:
+        if name not in made:
+            model = Model.from_dict(TREE | {"parameters": OFF})
+            runs = {seed: measured(name, seed) if name else measured(seed=seed, plain=1) for seed in (1, 2)}
+            n = round(SECONDS / H)
+            records = records_from_arrays(model, [(f"run {k}", t[:n], u[:n], y[:n]) for k, (t, u, y, _) in runs.items()])
+            bench = bench_of(model, records, {"b": 1.0, **model.parameters})
+            made[name] = Case(model, records, bench, settle(bench, *base_of(model, bench)))
+        return made[name]
+
+    return of
 
 
 def _load(name: str) -> ModuleType:

@@ -102,11 +102,11 @@ def velocity_view(share: float) -> View:
 
 
 CANDIDATES = (
-    Candidate("cogging", 412.0, 0.998), Candidate("gravity", 96.0, 0.31), Candidate("position_friction", 88.2, 0.22),
-    Candidate("hard_stop", 41.0, 0.12, "stiffness at its bound"), Candidate("eccentric_encoder", 30.5, 0.1),
-    Candidate("stribeck", 12.1, 0.05), Candidate("bias", 6.0, 0.02), Candidate("asymmetric_coulomb", 5.7, 0.02),
-    Candidate("quadratic_drag", 3.1, 0.01), Candidate("dead_zone", 2.2, 0.0), Candidate("input_delay", 1.4, 0.0),
-    Candidate("friction_drift", float("nan"), float("nan"), "did not converge"),
+    Candidate("cogging", 412.0, 9.8), Candidate("gravity", 96.0, 9.8), Candidate("position_friction", 88.2, 9.8),
+    Candidate("hard_stop", 41.0, 9.8, "stiffness at its bound"), Candidate("eccentric_encoder", 30.5, 9.8),
+    Candidate("stribeck", 12.1, 9.8), Candidate("bias", 6.0, 9.8), Candidate("asymmetric_coulomb", 5.7, 9.8),
+    Candidate("quadratic_drag", 3.1, 9.8), Candidate("dead_zone", 2.2, 9.8), Candidate("input_delay", 1.4, 9.8),
+    Candidate("friction_drift", float("nan"), 9.8, "did not converge"),
 )  # fmt: skip
 UNDETECTED = {
     "stribeck": "excess 0.18 at speed 0.3 rad/s", "input_delay": "1.1 ms", "gravity": "0.004 N.m",

@@ -108,8 +108,11 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(name):
     assert effect.name == name
     assert len(effect.description.split()) >= 2
     assert set(KEY.findall(effect.source)) & set(KEYS)
-    slots = (effect.torque, effect.factor, effect.bound, effect.output, effect.coupling, effect.law, effect.command, effect.rates)
-    assert any("Source:" in (slot.__doc__ or "") for slot in (*slots, effect.drive) if slot)
+    slots = (
+        effect.command, effect.drive, effect.torque, effect.factor, effect.bound, effect.output, effect.coupling,
+        effect.bristles, effect.rates,
+    )  # fmt: skip
+    assert any("Source:" in (slot.__doc__ or "") for slot in slots if slot)
 
 
 @pytest.mark.parametrize("name", list(methods()))

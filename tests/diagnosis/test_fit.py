@@ -1,0 +1,187 @@
+"""Refit: it climbs to the best there is, minds its bounds, shrugs off a bad segment; effects start near the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis.candidates import advance, evidence, explore, follow
+from bristle.diagnosis.fit import Free, evaluate, refit
+from bristle.diagnosis.search import lens_of
+from bristle.diagnosis.workflow import covariance
+
+TRUE = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
+HIDDEN = {  # effect: (parameters it was simulated with, largest error relative to them)
+    "cogging": ({"amplitude": 0.08, "periods": 7.0}, 0.02),
+    "input_delay": ({"delay": 0.01}, 0.02),
+    "dead_zone": ({"width": 0.08}, 0.02),
+    "gain_asymmetry": ({"share": 0.2}, 0.02),
+    "saturation": ({"limit": 0.3}, 0.02),
+    "friction_drift": ({"rate": 0.05}, 0.05),
+    "compliance": ({"stiffness": 40.0, "share": 0.5}, 0.05),
+    "quadratic_drag": ({"coefficient": 0.002}, 0.05),
+}
+
+
+def joined(case, name):
+    """An effect refitted from its own starts, on top of a model that lacks it; then once more under the noise it leaves."""
+    base, lens = case.base, lens_of(case.base, case.bench)
+    e = evidence(case.bench.motion, lens, base.fit, case.bench.resolution)
+    found = follow(base.problem, advance(base.problem, explore(base.problem, base.servo, name, base.fit, lens, e)))
+    for _ in range(2):
+        noise = case.bench.noise(found.fit.residual, found.fit.weight, found.fit.values)
+        found = follow(case.bench.problem(noise, case.bench.train), found)
+    return found
+
+
+@pytest.mark.parametrize("name", list(HIDDEN))
+def test_starts_from_data_lead_to_the_truth(case, name):
+    """Of the effect and of the model, from nominal values that are 20 % off, on records of a simulation ten times finer."""
+    found = joined(case(name), name)
+    assert found.fit is not None
+    assert found.fit.total > case(name).base.fit.total + 100
+    known, limit = HIDDEN[name]
+    for key, value in known.items():
+        assert found.fit.values[f"{name}.{key}"] == pytest.approx(value, rel=limit), key
+    for key, value in TRUE.items():
+        assert found.fit.values[key] == pytest.approx(value, rel=0.03), key
+
+
+def test_without_anything_hidden_the_model_is_found_within_its_intervals(case):
+    plain = case(None)
+    values = {f.name: plain.base.fit.values[f.name] for f in plain.base.fit.free}
+    spread = dict(zip(values, np.sqrt(np.diag(covariance(plain.base.fit))), strict=True))
+    for key, value in TRUE.items():
+        assert values[key] == pytest.approx(value, rel=0.01)
+        assert abs(values[key] - value) < 4 * spread[key]
+        assert spread[key] < 0.02 * value
+
+
+def test_the_likelihood_is_highest_where_the_refit_ends(case):
+    """Along every parameter, start states following."""
+    plain = case(None)
+    problem, best = plain.base.problem, plain.base.fit
+    best = refit(problem, best.simulator, best.free, best.values, best.starts)
+    slack = []
+    for f in best.free:
+        size = 1 / np.sqrt(best.information[best.free.index(f), best.free.index(f)])
+        for sign in (1, -1):
+            moved = best.values[f.name] * np.exp(sign * size) if f.factor else best.values[f.name] + sign * size
+            away = evaluate(problem, best.simulator, best.free, {**best.values, f.name: f.inside(moved)}, best.starts)
+            slack.append(best.total - away.total)
+    assert min(slack) > -0.1
+
+
+def test_a_refit_comes_home_from_afar(case):
+    plain = case(None)
+    best = plain.base.fit
+    away = {**best.values, "J": 0.02, "a2": 0.06, "coulomb.Fc": 0.05}
+    found = refit(plain.base.problem, best.simulator, best.free, away, plain.bench.segments.starts, 30)
+    for key in TRUE:
+        assert found.values[key] == pytest.approx(best.values[key], rel=2e-3)
+
+
+def test_no_step_makes_it_worse(case):
+    plain = case(None)
+    best, gains = plain.base.fit, []
+    for inertia, level in ((0.004, 0.3), (0.04, 0.02), (0.02, 0.4), (0.005, 0.01)):
+        away = {**best.values, "J": inertia, "coulomb.Fc": level}
+        totals = [
+            refit(plain.base.problem, best.simulator, best.free, away, plain.bench.segments.starts, count).total
+            for count in range(5)
+        ]
+        assert totals == sorted(totals)
+        gains.append(totals[-1] - totals[0])
+    assert max(gains) > 100
+
+
+def test_start_states_are_eliminated(case):
+    """Where they stand does not matter to the likelihood, to first order: it is that of the best ones."""
+    plain = case(None)
+    problem, best = plain.base.problem, plain.base.fit
+    rng = np.random.default_rng(4)
+    moved = best.starts + 0.04 * problem.spread * rng.standard_normal(best.starts.shape)
+    away = evaluate(problem, best.simulator, best.free, best.values, moved)
+    bare = -0.5 * np.sum((np.square(away.white).sum(axis=1) - np.square(best.white).sum(axis=1))[problem.judged])
+    assert bare < -50
+    assert abs(away.total - best.total) < 0.02 * abs(bare)
+
+
+def test_one_bad_segment_does_not_decide(case):
+    plain = case(None)
+    problem, best = plain.base.problem, plain.base.fit
+    seen = problem.seen.copy()
+    bad = int(np.flatnonzero(problem.judged)[3])
+    seen[bad] += 0.5 * np.sin(np.linspace(0, 6, seen.shape[1]))
+    found = refit(replace(problem, seen=seen), best.simulator, best.free, best.values, best.starts)
+    for key in TRUE:
+        assert found.values[key] == pytest.approx(best.values[key], rel=0.005)
+    assert found.weight[bad] < 0.02 * np.median(found.weight[found.weight > 0])
+
+
+def test_bounds_hold_and_the_others_go_on(case):
+    plain = case(None)
+    best = plain.base.fit
+    low = replace(best.free[0], high=0.008, nominal=None)
+    assert low.name == "J"
+    start = {**best.values, "J": 0.0075, "a2": 0.05}
+    found = refit(plain.base.problem, best.simulator, (low, *best.free[1:]), start, best.starts, 40)
+    assert found.values["J"] == 0.008
+    held = refit(plain.base.problem, best.simulator, best.free[1:], {**start, "J": 0.008}, best.starts, 40)
+    assert found.total == pytest.approx(held.total, abs=0.2)
+    assert low.stuck(found.values["J"])
+    assert not found.free[1].stuck(found.values["a2"])
+    assert found.total < best.total - 10
+    assert found.values["coulomb.Fc"] != best.values["coulomb.Fc"]
+
+
+@pytest.mark.parametrize(
+    ("free", "value", "stuck"),
+    [
+        (Free("x", 0.0, 1.0), 0.0, True), (Free("x", 0.0, 1.0), 1.0, True), (Free("x", 0.0, 1.0), 1e-3, False),
+        (Free("x", 0.0, 1e6), 1e-3, False), (Free("x", -1.0, 1.0), -1.0, True), (Free("x", 2.0, 8.0, True), 2.0, True),
+    ],
+)  # fmt: skip
+def test_a_parameter_at_its_bound_is_known_as_stuck(free, value, stuck):
+    assert free.stuck(value) is stuck
+    assert free.inside(value) == value
+    assert free.low <= free.inside(1e9) <= free.high
+
+
+def test_what_is_known_beforehand_pulls(case):
+    """A tight doubt holds a parameter at its nominal value, whatever the records say; none lets it go."""
+    plain = case(None)
+    best = plain.base.fit
+    tight = replace(best.free[0], nominal=0.012, doubt=1e-6)
+    found = refit(plain.base.problem, best.simulator, (tight, *best.free[1:]), best.values, best.starts)
+    assert found.values["J"] == pytest.approx(0.012, abs=1e-5)
+    assert found.prior < -0.5 or found.total < best.total
+
+
+def test_segments_that_are_not_judged_do_not_count(case):
+    plain = case(None)
+    problem, best = plain.base.problem, plain.base.fit
+    mask = problem.judged & (plain.bench.segments.block % 2 == 0)
+    seen = np.where(mask[:, None], problem.seen, 7.0)
+    one, two = (
+        evaluate(replace(problem, judged=mask, seen=s), best.simulator, best.free, best.values, best.starts)
+        for s in (problem.seen, seen)
+    )
+    assert one.total == two.total
+    np.testing.assert_array_equal(one.information, two.information)
+    assert np.all(one.weight[~mask] == 0)
+
+
+def test_a_torque_in_the_residual_is_read_through_the_lens(case):
+    """The linear answer comes near the truth already; what the model's own parameters can do counts for nothing."""
+    hidden = case("cogging")
+    lens, m = lens_of(hidden.base, hidden.bench), hidden.bench.motion
+    coefficients, gain = lens.regress(np.column_stack([np.sin(7 * m.theta), np.cos(7 * m.theta)]))
+    assert coefficients[0] == pytest.approx(0.08, rel=0.25)  # the model adds this torque to the motor's
+    assert abs(coefficients[1]) < 0.02
+    assert gain > 50
+    assert gain > 5 * lens.regress(np.column_stack([np.sin(5 * m.theta), np.cos(5 * m.theta)]))[1]
+    own = lens.free_of_model(lens.model)
+    assert np.max(np.abs(own)) < 1e-6 * np.max(np.abs(lens.model))

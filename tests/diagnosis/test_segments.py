@@ -1,0 +1,161 @@
+"""Segments: cut as measured, simulated as the plain servo is, with derivatives that are those of the simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis.candidates import RIGID, Servo
+from bristle.diagnosis.segments import Segments, Simulator, cut, smooth
+from bristle.diagnosis.workflow import fixed_values
+from bristle.model.native import Native
+from bristle.plant.servo import servo_program
+
+H, WIDTH, BINS = 1e-3, 8, 50
+BASE = ("J", "a2", "coulomb.Fc")
+VALUES = {"J": 0.01, "a2": 0.02, "b": 1.0, "coulomb.Fc": 0.12}
+BENT = {f"{RIGID}.stiffness": 1200.0, f"{RIGID}.damping": 2.0}  # a bend of a quarter of a step of 16384 counts
+WITH = {  # an effect, away from the ends of its intervals
+    "gravity": {"amplitude": 0.2, "phase": 0.4},
+    "cogging": {"amplitude": 0.05, "phase": 0.3, "periods": 6.9, "amplitude2": 0.01, "phase2": -0.4},
+    "compliance": {"stiffness": 30.0, "share": 0.4},
+    "dead_zone": {"width": 0.06},
+    "input_delay": {"delay": 0.0063},
+    "presliding": {"stiffness": 9.0},
+}
+
+
+def swing(seconds=3.2, seed=5):
+    """A torque of several tones that reverses the servo now and then."""
+    t = H * np.arange(round(seconds / H))
+    rng = np.random.default_rng(seed)
+    return t, sum(0.16 * np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f in (0.7, 1.3, 2.9, 4.3))
+
+
+@pytest.fixture(scope="module")
+def segments():
+    t, u = swing()
+    native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
+    y = native.run(H, {"u": u}, ["theta"])[0][:-1, 0]
+    return Segments((cut("run", t[0], H, u, y, False, 4e-4, WIDTH, BINS),), H, WIDTH, BINS, False)
+
+
+def simulator(segments, effects, rigid):
+    return Servo("coulomb", (), BASE, (), fixed_values(H), rigid).simulator(segments, effects)
+
+
+@pytest.mark.parametrize("name", [None, *WITH])
+def test_derivatives_are_those_of_the_simulation(segments, name):
+    """By every parameter and both start states, over reversals, of a servo whose friction bends a little.
+
+    The far side of a coupling is set along with each start, without what it owes to parameters before: there the first
+    segment alone is exact.
+    """
+    values = VALUES | BENT | {f"{name}.{key}": value for key, value in WITH.get(name, {}).items()}
+    work = simulator(segments, (name,) if name else (), True)
+    starts = segments.starts + np.array([0.0, 0.01])  # none at rest: steps have a kink there
+    seen, exact, good = work.run(values, starts, jacobian=True)
+    assert exact is not None
+    assert good.all()
+    moved = [key for key in work.names if key in values and (name != "presliding" or not key.startswith(RIGID))]
+    assert {*BASE, *(f"{name}.{key}" for key in WITH.get(name, {}))} <= set(moved)
+    for key in moved:
+        delta = 1e-6 * values[key]
+        up, down = (work.run(values | {key: values[key] + sign * delta}, starts)[0] for sign in (1, -1))
+        known = slice(0, 1) if name == "compliance" else slice(None)
+        check(exact[known, :, work.names.index(key)], (up - down)[known] / (2 * delta), key)
+    for k in range(len(starts)):
+        for column, delta in enumerate((1e-7, 1e-6)):
+            offset = np.zeros_like(starts)
+            offset[k, column] = delta
+            up, down = (work.run(values, starts + sign * offset)[0][k] for sign in (1, -1))
+            check(exact[k, :, len(work.names) + column], (up - down) / (2 * delta), f"start {column} of {k}")
+    assert np.array_equal(work.run(values, starts)[0], seen)
+
+
+def check(exact, difference, key):
+    size = np.max(np.abs(difference))
+    assert size > 0, key
+    assert np.max(np.abs(exact - difference)) <= 1e-5 * size, (key, np.max(np.abs(exact - difference)) / size)
+
+
+def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
+    """Without hidden states each segment is what the plain simulation gives from the same position and velocity."""
+    starts = segments.starts + np.array([0.01, -0.2])
+    seen, _, good = simulator(segments, (), False).run(VALUES, starts)
+    assert good.all()
+    u = segments.pieces[0].u.reshape(-1, WIDTH * BINS)
+    for k in (0, 3, 7):
+        begin = {"theta_start": starts[k, 0], "v_start": starts[k, 1], "u_max": 1e6}
+        native = Native(servo_program("coulomb", encoder=False), VALUES | fixed_values(H) | begin)
+        theta = native.run(H, {"u": u[k]}, ["theta"])[0][:-1, 0]
+        np.testing.assert_allclose(seen[k], theta.reshape(BINS, WIDTH).mean(axis=1), rtol=0, atol=1e-13)
+
+
+def test_hidden_states_live_on_from_segment_to_segment(segments):
+    """The delay line of one segment reaches into the next: what came before its start is not forgotten."""
+    values = VALUES | {"input_delay.delay": 0.02}
+    seen, _, _ = simulator(segments, ("input_delay",), False).run(values, segments.starts)
+    cold = Segments(
+        tuple(
+            cut("part", 0.4 * k, H, u, np.zeros_like(u), False, 4e-4, WIDTH, BINS)
+            for k, u in enumerate(segments.pieces[0].u.reshape(-1, WIDTH * BINS))
+        ), H, WIDTH, BINS, False,
+    )  # fmt: skip
+    alone, _, _ = simulator(cold, ("input_delay",), False).run(values, segments.starts)
+    np.testing.assert_array_equal(seen[0], alone[0])
+    assert np.sum(np.max(np.abs(seen - alone)[1:], axis=1) > 1e-3) >= 4  # it rests at the start of some
+
+
+def test_a_velocity_is_simulated_where_a_velocity_was_measured():
+    t, u = swing()
+    native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
+    v = native.run(H, {"u": u}, ["v"])[0][:-1, 0]
+    segments = Segments((cut("run", t[0], H, u, v, True, 1e-3, WIDTH, BINS),), H, WIDTH, BINS, True)
+    starts = np.column_stack([np.zeros(8), v[:: WIDTH * BINS][:8]])
+    seen, sens, _ = Simulator("coulomb", (), segments, BASE, fixed_values(H)).run(VALUES, starts, jacobian=True)
+    assert sens is not None
+    assert np.max(np.abs(seen - segments.seen)) < 1e-4 * np.ptp(v)
+    assert np.all(sens[:, :, -2] == 0.0)  # where it is does not matter
+    assert np.sum(sens[:, 0, -1] > 0.9) >= 4  # it rests at the start of some
+
+
+def test_what_cannot_be_simulated_is_marked_and_spoils_nothing_else(segments):
+    starts = segments.starts.copy()
+    starts[2, 1] = np.nan
+    work = simulator(segments, (), False)
+    seen, _, good = work.run(VALUES, starts)
+    assert good.tolist() == [k != 2 for k in range(8)]
+    np.testing.assert_array_equal(seen[good], work.run(VALUES, segments.starts)[0][good])
+
+
+def test_records_are_cut_into_averages_and_the_rest_is_dropped():
+    y = np.arange(1000.0) ** 2
+    piece = cut("run", 7.0, 1e-3, np.arange(1000.0), y, False, 1.0, 8, 50)
+    assert (piece.time, piece.seen.shape, piece.u.shape) == (7.0, (2, 50), (800,))
+    np.testing.assert_array_equal(piece.seen[1, 3], y[424:432].mean())
+    parts = Segments((piece, piece), 1e-3, 8, 50, False)
+    assert parts.judged.tolist() == [False, True, False, True]
+    assert parts.block.tolist() == [0, 1, 0, 1]
+    assert parts.seen.shape == (4, 50)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_a_parabola_passes_the_smoothing(order):
+    t = 1e-3 * np.arange(400)
+    y = [0.3 - 2 * t + 5 * t**2, -2 + 10 * t, np.full(400, 10.0)]
+    found = smooth(y[0], 1e-3, 0.02, order)
+    np.testing.assert_allclose(found[40:-40], y[order][40:-40], rtol=0, atol=1e-9)
+    assert len(found) == 400
+
+
+def test_start_states_are_as_uncertain_as_the_sensor_is_coarse():
+    """The true states lie within the stated standard deviations, which are not far too wide."""
+    _, u = swing(16.0)
+    native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
+    true = native.run(H, {"u": u}, ["theta", "v"])[0][:-1]
+    step = 2 * np.pi / 16384
+    piece = cut("run", 0.0, H, u, np.floor(true[:, 0] / step + 0.5) * step, False, step, WIDTH, BINS)
+    z = (piece.starts - true[:: WIDTH * BINS][: len(piece.starts)]) / piece.spread
+    assert np.all(np.abs(z) < 3)
+    assert np.all(np.sqrt(np.mean(z[1:] ** 2, axis=0)) > 0.01)

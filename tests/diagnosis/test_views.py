@@ -1,0 +1,116 @@
+"""Views: a residual that follows one is found there, with its share; noise is found nowhere."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis.search import lens_of
+from bristle.diagnosis.views import FLIPS, STRETCHES, hats, residual_map, shares, stops
+
+SHARE = 0.6
+MADE = {  # a torque that follows a view, of the motion and the time t
+    "v": lambda m, t: np.sign(m.v) * np.exp(-np.abs(m.v)),
+    "theta": lambda m, t: np.sin(9 * m.theta),
+    "theta x direction": lambda m, t: np.sign(m.v) * np.sin(2 * m.theta + 0.3),
+    "t": lambda m, t: np.where(t > 5, 1.0, 0.0),
+    "t x direction": lambda m, t: np.sign(m.v) * t,
+    "v x u": lambda m, t: m.v * np.abs(m.u),
+    "tone": lambda m, t: np.sin(2 * np.pi * 6.3 * t),
+    "u": lambda m, t: np.where(np.abs(m.u) < 0.1, m.u, 0.0),
+}
+
+
+@pytest.fixture(scope="module")
+def plain(case):
+    return case(None)
+
+
+def seen_through(plain, torque=None, seed=3):
+    """The shares of noise and of what a torque (samples,) does, SHARE of what is whitened; and its power in the output."""
+    bench, lens = plain.bench, copy(lens_of(plain.base, plain.bench))
+    noise = np.random.default_rng(seed).standard_normal(lens.rest.shape)
+    lens.rest = lens.freed(noise[:, :, None])[:, :, 0]
+    rough, live, expected = np.zeros(lens.rest.shape), np.flatnonzero(lens.weight > 0), 0.0
+    if torque is not None:
+        made = lens.free_of_model(lens.through(torque[:, None]))[:, :, 0]
+        power = [float(np.einsum("s,sn,sn->", lens.weight, each, each)) for each in (lens.rest, made)]
+        size = np.sqrt(SHARE / (1 - SHARE) * power[0] / power[1])
+        lens.rest = lens.rest + size * made
+        shown = [np.square(lens.plain(each[live][:, :, None], live)).sum() for each in (size * made, lens.rest)]
+        expected = shown[0] / shown[1]
+        rough = size * torque.reshape(len(rough), rough.shape[1], -1).mean(axis=2) * (lens.weight > 0)[:, None]
+    return shares(lens, bench.motion, bench.segments.h, bench.resolution, rough), expected
+
+
+@pytest.mark.parametrize("view", list(MADE))
+def test_what_follows_a_view_is_found_there(plain, view):
+    m = plain.bench.motion
+    found, share = seen_through(plain, MADE[view](m, m.time))
+    assert found[0].view == view, [(each.view, each.share) for each in found[:3]]
+    assert found[0].p == 1 / (FLIPS + 1)
+    assert 0.6 * share < found[0].share < 1.15 * share  # what is fitted is held back a little
+    if view == "tone":
+        assert float(found[0].label.removesuffix(" Hz")) == pytest.approx(6.3, abs=0.1)
+    if view == "theta":
+        assert found[0].label == "9 in a turn"
+
+
+def test_noise_follows_nothing(plain):
+    smallest = np.array([min(each.p for each in seen_through(plain, seed=seed)[0]) for seed in range(20)])
+    assert np.sum(smallest <= 0.1) <= 5  # the p of the strongest of all views: one in ten is that small
+    assert np.sum(smallest <= 0.5) >= 4
+
+
+def test_stretches_that_are_far_off_are_seen_as_such(plain):
+    lens, m = copy(lens_of(plain.base, plain.bench)), plain.bench.motion
+    noise = np.random.default_rng(3).standard_normal(lens.rest.shape)
+    live = np.flatnonzero(lens.weight > 0)
+    noise[live[[2, 9, 17]]] *= 30
+    lens.rest = lens.freed(noise[:, :, None])[:, :, 0]
+    found = shares(lens, m, plain.bench.segments.h, plain.bench.resolution, np.zeros(lens.rest.shape))
+    assert found[0].view == STRETCHES
+    assert found[0].share > 0.9
+    assert found[0].p < 1e-3
+    assert found[0].label.startswith(f"3 of {len(live)} stretches")
+
+
+def test_the_same_residual_is_judged_the_same(plain):
+    assert seen_through(plain) == seen_through(plain)
+
+
+def test_hats_add_up_to_one_and_follow_any_broken_line():
+    x = np.random.default_rng(1).uniform(-2, 3, 500)
+    table = hats(x, 5)
+    assert table.shape == (500, 5)
+    np.testing.assert_allclose(table.sum(axis=1), 1.0, atol=1e-12)
+    knots = np.quantile(x, np.linspace(0.005, 0.995, 5))
+    line = np.interp(x, knots, [0.0, 2.0, -1.0, 3.0, 3.0])
+    np.testing.assert_allclose(table @ [0.0, 2.0, -1.0, 3.0, 3.0], line, atol=1e-12)
+    np.testing.assert_array_equal(hats(np.full(20, 0.7)), np.ones((20, 1)))
+
+
+def test_a_stop_is_elastic_then_slides_and_knows_no_other_record():
+    theta = np.concatenate([np.linspace(0, 1, 11), np.linspace(1, 0.7, 4)[1:], [50.0, 50.05]])
+    record = np.array([0] * 14 + [1] * 2)
+    found = stops(theta, record, np.array([0.25]))[:, 0]
+    np.testing.assert_allclose(found[:4], [0.0, 0.4, 0.8, 1.0])
+    assert np.all(found[3:11] == 1.0)
+    np.testing.assert_allclose(found[11:14], [0.6, 0.2, -0.2], atol=1e-12)
+    np.testing.assert_allclose(found[14:], [-0.2, 0.0], atol=1e-12)  # from record to record nothing bends
+
+
+def test_a_map_shows_both_ways_of_going(plain):
+    m = plain.bench.motion
+    torque = np.sign(m.v) * np.sin(m.theta)
+    drawn = residual_map("theta x direction", m, torque, 0 * torque)
+    assert drawn["lines"] == ("forward", "backward")
+    forward, backward = np.asarray(drawn["before"])
+    known = np.isfinite(forward) & np.isfinite(backward)
+    assert np.sum(known) > 20
+    np.testing.assert_allclose(forward[known], np.sin(np.asarray(drawn["centres"]))[known], atol=0.1)
+    np.testing.assert_allclose(backward[known], -np.sin(np.asarray(drawn["centres"]))[known], atol=0.1)
+    assert np.nanmax(np.abs(np.asarray(drawn["after"]))) == 0.0
+    assert residual_map("v", m, torque, torque)["lines"] == ()
