@@ -118,7 +118,7 @@ class Balance:
         return self.under(_white(len(self._start), max(float(np.sqrt(np.mean(left[self._judged] ** 2))), 1e-12)))
 
     def _white_of(self, averages: Array) -> Array:
-        return averages @ self._project.T
+        return np.asarray(averages @ self._project.T)
 
     def _whiten(self, noise: Noise) -> None:
         q = np.linalg.qr(noise.whiten @ self._start)[0]
@@ -129,7 +129,7 @@ class Balance:
     def pull(self, acceleration: Array) -> Array:
         """Return what accelerations (points, k) do to the whitened averages (segments, bins, k); at rest, nothing."""
         held = acceleration.reshape(*self.shape, -1) * self._moving[:, :, None]
-        return np.einsum("nl,slk->snk", self._through, held, optimize=True)
+        return np.asarray(np.einsum("nl,slk->snk", self._through, held, optimize=True))
 
     def weight(self, residual: Array) -> Array:
         """Return 1 for segments that count."""
@@ -193,7 +193,7 @@ class Balance:
         self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: dict[str, float]
     ) -> tuple[Found, Array]:
         residual, slopes = self.evaluate(law, effects, free, values)
-        finite = np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+        finite = np.asarray(np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2)))
         residual, slopes = np.where(finite[:, None], residual, 1e3), np.where(finite[:, None, None], slopes, 0.0)
         n = residual.shape[1] - self._start.shape[1]
         misfit = np.square(residual).sum(axis=1)

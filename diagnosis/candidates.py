@@ -158,9 +158,9 @@ def explore(
         alone = {key: value for key, value in given.items() if key.startswith(f"{name}.")}
         # with the parameters of the balance, and with those of the simulated model: either may be the better neighbourhood
         for others, begin in ((given, problem.starts), (alone, fit.starts)):
-            values = {**defaults, **fit.values, **others}
-            values |= {f.name: f.inside(values[f.name]) for f in (*own, *free)}
-            trials.append(_worth(evaluate(problem, simulator, (*own, *free), values, begin), quiet))
+            whole = {**defaults, **fit.values, **others}
+            inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
+            trials.append(_worth(evaluate(problem, simulator, (*own, *free), whole | inside, begin), quiet))
     trials.sort(key=lambda trial: -trial[0])
     return Candidate(name, trials[0][1], tuple(banks), trials[0][0], tuple(first for _, first in trials[1:FINALISTS]))
 

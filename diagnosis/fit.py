@@ -122,7 +122,8 @@ def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], val
     index = [simulator.names.index(f.name) for f in free]
     scale = np.array([values[f.name] if f.factor else 1.0 for f in free])
     both = np.matmul(problem.noise.whiten, sens)
-    return _scored(problem, simulator, free, values, starts, residual, both[:, :, index] * scale, both[:, :, -2:], sens[:, :, -2:], good)
+    by_parameter, by_start = both[:, :, index] * scale, both[:, :, -2:]
+    return _scored(problem, simulator, free, values, starts, residual, by_parameter, by_start, sens[:, :, -2:], good)
 
 
 def rescored(problem: Problem, fit: Fit) -> Fit:
