@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, promise, refit
+from bristle.diagnosis.fit import ITERATIONS, Fit, Free, Problem, evaluate, promise, refit, rescored
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.null import directions
 from bristle.diagnosis.segments import Segments, Simulator
@@ -18,8 +18,10 @@ from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
 
+Start = tuple[Mapping[str, float], Mapping[str, float]]  # all parameters; those of the effect that move, by short names
+
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
-FINALISTS = 2  # starts from which a step is taken
+FINALISTS, STEPS = 2, 2  # starts from which steps are taken, and their number
 LIMITS = {  # closer than what can be simulated: what a servo may have
     "stribeck.excess": (0.0, 100.0),
     "compliance.share": (0.02, 0.9),
@@ -38,6 +40,7 @@ class Servo:
 
     `rigid`: the set-valued friction has bristles that bend by less than the sensor's step; no model of rigid friction
     agrees with another more closely than that, and without them each effect would be asked to explain it.
+    `limits`: how far parameters of effects may move on this axis, where that is less than anywhere.
     """
 
     law: str
@@ -46,6 +49,7 @@ class Servo:
     free: tuple[Free, ...]
     fixed: Mapping[str, float]
     rigid: bool
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def simulator(self, segments: Segments, more: tuple[str, ...] = ()) -> Simulator:
         """Return a simulator of the servo with more effects added."""
@@ -81,19 +85,25 @@ class Candidate:
             return -np.inf
         return self.fit.total - 0.5 * self.size * float(np.log(np.count_nonzero(self.fit.weight) + 1.0))
 
+    def inside(self, limits: Mapping[str, tuple[float, float]]) -> bool:
+        """False where a parameter ends at a limit of the records: what it explains there is something else."""
+        assert self.fit is not None
+        near = [(self.fit.values[name], ends) for name, ends in limits.items() if name in [f.name for f in self.fit.free]]
+        return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, ends in near for end in ends if np.isfinite(end))
 
-def evidence(motion: Motion, lens: Lens, fit: Fit, resolution: float) -> Evidence:
-    """Return what effects derive their starting values from."""
+
+def evidence(motion: Motion, lens: Lens, fit: Fit, resolution: float, turn: float) -> Evidence:
+    """Return what effects derive their starting values from; `turn` is the path after which a motion begins anew."""
     level = next((fit.values[f.name] for f in fit.free if f.name.endswith(".Fc")), 0.0)
     level = level or float(np.mean(np.abs(fit.values["b"] * motion.u))) * 0.1
     return Evidence(
         motion.theta, motion.v * motion.moving, motion.a, motion.u, motion.time, fit.simulator.segments.h, resolution,
-        fit.values["J"], level, fit.values["b"], lens.regress,
+        fit.values["J"], level, fit.values["b"], lens.regress, turn,
     )  # fmt: skip
 
 
-def freedom(name: str, start: Mapping[str, float]) -> tuple[Free, ...]:
-    """Return the free parameters of an effect: those a start gives, in their intervals."""
+def freedom(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> tuple[Free, ...]:
+    """Return the free parameters of an effect: those a start gives, in their intervals and in `limits`."""
     found = []
     for p in find_effect(name).parameters:
         short = p.name.removeprefix(f"{name}.")
@@ -103,6 +113,7 @@ def freedom(name: str, start: Mapping[str, float]) -> tuple[Free, ...]:
         factor = p.minimum > 0
         if factor:
             low, high = max(low, start[short] / FACTOR), min(high, start[short] * FACTOR)
+        low, high = max(low, limits.get(p.name, (low, high))[0]), min(high, limits.get(p.name, (low, high))[1])
         found.append(Free(p.name, low, high, factor))
     return tuple(found)
 
@@ -114,29 +125,69 @@ def starts(name: str, e: Evidence) -> list[dict[str, float]]:
     return make(e)
 
 
-def explore(problem: Problem, servo: Servo, name: str, fit: Fit, lens: Lens, e: Evidence) -> Candidate:
-    """Try an effect from all its starts; where it stands then is the most promising one, and `follow` goes on from there."""
+def explore(
+    problem: Problem,
+    servo: Servo,
+    name: str,
+    fit: Fit,
+    lens: Lens,
+    e: Evidence,
+    quiet: Callable[[Fit], Problem],
+    joint: Sequence[Start] = (),
+) -> Candidate:
+    """Try an effect from all its starts; where it stands then is the most promising one, and `pursue` goes on from there.
+
+    `quiet` gives a problem with the noise that a fit leaves: what is missing looks like noise to a model without it, and
+    most of all where it changes slowly. `joint` holds further starts, of the whole model with the effect.
+    """
     try:
         simulator = servo.simulator(fit.simulator.segments, (name,))
     except BristleError as error:
         return Candidate(name, None, refused=str(error))
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | _idle(name)
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | idle(name)
     trials, banks, own = [], [], servo.own(name)
     for start in starts(name, e):
-        free = freedom(name, start)
+        free = freedom(name, start, servo.limits)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
         values |= {f.name: f.inside(values[f.name]) for f in free}
         first = evaluate(problem, simulator, (*own, *free), values, fit.starts)
         banks.append(_bank(lens, fit, first, len(free)))
-        trials.append((first.total + promise(problem, first), first))
+        trials.append(_worth(first, quiet))
+    for given, start in joint:
+        free = freedom(name, start, servo.limits)
+        alone = {key: value for key, value in given.items() if key.startswith(f"{name}.")}
+        # with the parameters of the balance, and with those of the simulated model: either may be the better neighbourhood
+        for others, begin in ((given, problem.starts), (alone, fit.starts)):
+            whole = {**defaults, **fit.values, **others}
+            inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
+            trials.append(_worth(evaluate(problem, simulator, (*own, *free), whole | inside, begin), quiet))
     trials.sort(key=lambda trial: -trial[0])
     return Candidate(name, trials[0][1], tuple(banks), trials[0][0], tuple(first for _, first in trials[1:FINALISTS]))
 
 
-def advance(problem: Problem, candidate: Candidate) -> Candidate:
-    """Take one step from each of the most promising starts and stand at the better end."""
-    ends = [refit(problem, t.simulator, t.free, t.values, t.starts, 1, t) for t in (candidate.fit, *candidate.rivals) if t]
-    return replace(candidate, fit=max(ends, key=lambda t: t.total), rivals=())
+def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
+    """Return the log-likelihood that a step from here promises, and the fit, under the noise that it leaves."""
+    problem = quiet(fit)
+    fit = rescored(problem, fit)
+    return fit.total + promise(problem, fit), fit
+
+
+def advance(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:
+    """Take steps from each of the most promising starts and stand at the better end."""
+    ends = [_worth(_refitted(t, quiet, STEPS), quiet) for t in (candidate.fit, *candidate.rivals) if t]
+    promised, fit = max(ends, key=lambda end: end[0])
+    return replace(candidate, fit=fit, promised=promised, rivals=())
+
+
+def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:
+    """Refit a candidate from where it stands, under the noise that it leaves."""
+    return candidate if candidate.fit is None else replace(candidate, fit=_refitted(candidate.fit, quiet, ITERATIONS))
+
+
+def _refitted(fit: Fit, quiet: Callable[[Fit], Problem], iterations: int) -> Fit:
+    problem = quiet(fit)
+    done = refit(problem, fit.simulator, fit.free, fit.values, fit.starts, iterations, rescored(problem, fit))
+    return rescored(quiet(done), done)
 
 
 def follow(problem: Problem, candidate: Candidate) -> Candidate:
@@ -147,10 +198,10 @@ def follow(problem: Problem, candidate: Candidate) -> Candidate:
     return replace(candidate, fit=refit(problem, old.simulator, old.free, old.values, old.starts))
 
 
-def _idle(name: str) -> dict[str, float]:
+def idle(name: str) -> dict[str, float]:
     """Return values at which optional parameters of an effect do nothing."""
-    idle = {"cogging.amplitude2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
-    return {key: value for key, value in idle.items() if key.startswith(f"{name}.")}
+    values = {"cogging.amplitude2": 0.0, "cogging.phase2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
+    return {key: value for key, value in values.items() if key.startswith(f"{name}.")}
 
 
 def _bank(lens: Lens, fit: Fit, first: Fit, count: int) -> Array:

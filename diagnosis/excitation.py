@@ -17,8 +17,10 @@ REST = 0.02  # of the rms speed: below it is rest
 SLOW = 0.1  # of the largest speed: below it is slow
 BAND = 0.95  # share of the input's power below its bandwidth
 LINE = 0.9  # share of the power within a narrow band that makes a motion one oscillation
+RESOLVED = 5  # periods within a record that tell a tone from any slow motion
 DWELL = 0.05  # s in one direction between reversals, so that noise does not reverse
 HALF_TURN = float(np.pi)
+BENT = float(np.pi / 2)  # a sine over a shorter range is nearly a straight line
 
 
 def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
@@ -90,8 +92,8 @@ def _narrow(model: Model, numbers: dict[str, Any]) -> str:
     """
     if numbers["speed_dominant_tone_share"] > LINE:
         return "the servo repeats one oscillation; record steps of many sizes, a slow pass over several turns and a sweep"
-    if not model.linear and numbers["range_travelled"]["value"] < HALF_TURN:
-        return "the servo moves less than half a turn; record fast and slow motion over several turns"
+    if not model.linear and numbers["range_travelled"]["value"] < BENT:
+        return "the servo moves less than a quarter turn; record fast and slow motion over several turns"
     return ""
 
 
@@ -134,8 +136,13 @@ def _spectrum(signal: Array, h: float) -> tuple[float, float]:
     total = float(np.sum(power))
     if total <= 0.0:
         return 0.0, 0.0
+    band = float(f[np.searchsorted(np.cumsum(power), BAND * total)])
+    if np.argmax(power) < RESOLVED:
+        power = welch(x, fs=1.0 / h, nperseg=len(x), detrend="constant")[1]
     peak = int(np.argmax(power))
-    return float(f[np.searchsorted(np.cumsum(power), BAND * total)]), float(np.sum(power[max(0, peak - 2) : peak + 3])) / total
+    if peak < RESOLVED:
+        return band, 0.0
+    return band, float(np.sum(power[peak - 2 : peak + 3]) / np.sum(power))
 
 
 def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:

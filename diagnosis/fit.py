@@ -69,6 +69,10 @@ class Fit:
         Weight of each segment in the least squares; 0 where it is not judged.
     information : ndarray, shape (free, free)
         Curvature of the log-likelihood, on the scale each parameter moves on.
+    good : ndarray of bool, shape (segments,)
+        False where the simulation failed.
+    noise : Noise
+        The noise under which all this holds.
     """
 
     values: dict[str, float]
@@ -83,6 +87,8 @@ class Fit:
     weight: Array
     information: Array
     simulator: Simulator
+    good: Mask
+    noise: Noise
     prior: float = 0.0
 
     @property
@@ -116,10 +122,33 @@ def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], val
     sens = np.where(good[:, None, None], sens, 0.0)
     index = [simulator.names.index(f.name) for f in free]
     scale = np.array([values[f.name] if f.factor else 1.0 for f in free])
-    whiten = problem.noise.whiten
-    white = residual @ whiten.T
-    both = np.matmul(whiten, sens)
-    by_start, by_parameter = both[:, :, -2:], both[:, :, index] * scale
+    both = np.matmul(problem.noise.whiten, sens)
+    by_parameter, by_start = both[:, :, index] * scale, both[:, :, -2:]
+    return _scored(problem, simulator, free, values, starts, residual, by_parameter, by_start, sens[:, :, -2:], good)
+
+
+def rescored(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit as it is under a problem with another noise, without simulating anew; `fit.noise` is what it was under."""
+    turn = problem.noise.whiten @ np.linalg.inv(fit.noise.whiten)
+    return _scored(
+        problem, fit.simulator, fit.free, fit.values, fit.starts, fit.residual, np.matmul(turn, fit.by_parameter),
+        np.matmul(turn, fit.by_start), fit.raw_by_start, fit.good,
+    )  # fmt: skip
+
+
+def _scored(
+    problem: Problem,
+    simulator: Simulator,
+    free: tuple[Free, ...],
+    values: dict[str, float],
+    starts: Array,
+    residual: Array,
+    by_parameter: Array,
+    by_start: Array,
+    raw_by_start: Array,
+    good: Mask,
+) -> Fit:
+    white = residual @ problem.noise.whiten.T
     precision, offset = problem.spread**-2, problem.starts - starts
     pull = np.einsum("sni,sn->si", by_start, white) + precision * offset
     normal = np.einsum("sni,snj->sij", by_start, by_start)
@@ -135,8 +164,8 @@ def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], val
     information = np.einsum("s,snp,snq->pq", weight, by_parameter, by_parameter) - np.einsum("s,sip,siq->pq", weight, cross, answer)
     prior, curve = _knowledge(free, values)
     return Fit(
-        values, free, starts, np.where(problem.judged, score, 0.0), residual, white, by_parameter, by_start, sens[:, :, -2:],
-        weight, information + np.diag(curve), simulator, prior,
+        values, free, starts, np.where(problem.judged, score, 0.0), residual, white, by_parameter, by_start, raw_by_start, weight,
+        information + np.diag(curve), simulator, good, problem.noise, prior,
     )  # fmt: skip
 
 

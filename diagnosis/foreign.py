@@ -22,10 +22,11 @@ from bristle.diagnosis.fit import Fit, evaluate, refit
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
+from bristle.diagnosis.plausibility import check
 from bristle.diagnosis.search import Bench, settle
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.workflow import Tell, base_of, bench_of, examine
+from bristle.diagnosis.workflow import Tell, base_of, bench_of, examine, mend_first, nominal_gap
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.model.errors import BristleError
@@ -89,8 +90,11 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     begun = time.perf_counter()
     tell = progress or (lambda text, fraction: None)
     fmu = _checked(Fmu(Path(fmu_path), foreign=True), model)
-    bench = bench_of(model, records, {"b": 1.0, **model.parameters})
+    bench, said = bench_of(model, records), check(model, records)
     segments, lines = _simulated(fmu, bench, tell)
+    if said.proposals:
+        gap = replace(bench, segments=segments)
+        return mend_first(model, records, said, nominal_gap(gap, *base_of(model, gap)), time.perf_counter() - begun, lines)
     tell("fitting a servo to the FMU", 0.05)
     twin = _twin(model, bench, replace(bench, segments=segments))
     lines.append(_closeness(fmu, model, twin))

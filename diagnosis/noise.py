@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +47,13 @@ class Noise:
 
 def colour(pulses: Array, corner: float, h: float) -> Array:
     """Return the covariance of averages under a first-order noise torque of variance 1 with a corner frequency [Hz]."""
-    n = pulses.shape[1]
-    memory = np.exp(-2 * np.pi * corner * h * np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
-    return np.asarray(pulses @ memory @ pulses.T)
+    return np.asarray(pulses @ _memory(pulses.shape[1], 2 * np.pi * corner * h) @ pulses.T)
+
+
+@lru_cache(maxsize=16)
+def _memory(n: int, decay: float) -> Array:
+    """Return the correlation of n samples of a first-order noise."""
+    return np.asarray(np.exp(-decay * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))))
 
 
 def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: float) -> Noise:

@@ -55,6 +55,7 @@ class Round:
     decision: str
     gain: float = 0.0  # of the best one, under the noise that it leaves
     size: float = 1.0  # factor by which it lowers the mean squared error
+    finer: float | None = None  # the same gain with finer steps of the simulation
 
 
 @dataclass(frozen=True)

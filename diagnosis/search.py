@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow
-from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, promise, refit
+from bristle.diagnosis.balance import Balance, Joint
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow, pursue
+from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit, rescored
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
+from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
 from bristle.diagnosis.size import fall, squares
 from bristle.plant.effects import effect as find_effect
@@ -32,6 +34,7 @@ SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller 
 ODDS = 6.0  # nats between two candidates that keep them apart
 PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error so, or so and gains this share of the first one
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
+FEWEST = 10  # segments in motion that tell the noise
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
 MARK = 3.0  # nats: what one segment may say about it
 RATIO = 3.3  # nats that a further parameter must gain
@@ -41,13 +44,18 @@ HELD = 4  # every fourth segment is kept from the search
 
 @dataclass(frozen=True)
 class Bench:
-    """Everything that stays the same over a search."""
+    """Everything that stays the same over a search.
+
+    `barred` says why an effect is no candidate; `turn` is the path after which a motion begins anew: one turn of a shaft.
+    """
 
     segments: Segments
     motion: Motion
     resolution: float
     least: float
     narrow: str = ""  # why the motion is too uniform to tell effects apart by their form
+    barred: Mapping[str, str] = field(default_factory=dict)
+    turn: float = 2 * math.pi
 
     @property
     def train(self) -> Mask:
@@ -64,10 +72,22 @@ class Bench:
         return Problem(noise, judged, self.segments.seen, self.segments.starts, self.segments.spread)
 
     def noise(self, residual: Array, weight: Array, values: Mapping[str, float]) -> Noise:
-        """Return the noise of a residual (segments, bins)."""
+        """Return the noise of a residual (segments, bins), from the segments in motion.
+
+        At rest friction takes the disturbance and the sensor repeats its last step: that says nothing of their size.
+        """
         s = self.segments
+        share = self.motion.moving.reshape(len(residual), -1).mean(axis=1)
+        in_motion = weight * share
+        weight = in_motion if np.count_nonzero(in_motion > 0.5) >= FEWEST else weight
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
         return estimate(residual, weight, pulses, s.h, self.least)
+
+
+    def joint(self, stage: Stage) -> Joint:
+        """Return where a model and an effect may start together."""
+        balance = Balance(self.segments, self.motion, stage.problem.judged, stage.servo.fixed)
+        return Joint(balance, stage.servo, stage.fit.values, self.noise, self.resolution, self.turn)
 
 
 @dataclass(frozen=True)
@@ -92,6 +112,7 @@ class Verdict:
     ties: tuple[str, ...]
     decision: str
     named: bool = False
+    finer: float | None = None  # gain with finer steps of the simulation
     proven: bool = False  # on segments kept from the search
     withdrawn: bool = False  # named, but something remained on records of a uniform motion
 
@@ -125,23 +146,33 @@ def lens_of(stage: Stage, bench: Bench) -> Lens:
 def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, float], None]) -> Verdict:
     """Try the named effects on top of a fitted servo."""
     fit, lens = stage.fit, lens_of(stage, bench)
-    e = evidence(bench.motion, lens, fit, bench.resolution)
+    e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
+    joint = bench.joint(stage)
+
+    def quiet(left: Fit) -> Problem:
+        if not left.weight.any():
+            return stage.problem
+        return bench.problem(bench.noise(left.residual, left.weight, left.values), stage.problem.judged)
+
     tried = []
     for i, name in enumerate(names):
         tell(name, i / max(len(names), 1))
-        tried.append(explore(stage.problem, stage.servo, name, fit, lens, e))
+        barred = bench.barred.get(name, "")
+        if barred:
+            tried.append(Candidate(name, None, refused=barred))
+        else:
+            tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name)))
     reached = [c for c in tried if c.fit is not None]
     nothing = Verdict(tuple(tried), Null(np.zeros(1), {}), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     if not reached:
         return nothing
-    tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(stage.problem, c))
-    null = _null(lens, fit, tried)
-    hopeful = {c.name for c in tried if c.fit and _ahead(stage.problem, c) - fit.total > HOPE * null.level(c.name)}
+    tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(c, quiet))
+    null = _null(stage.problem, lens, fit, tried)
+    hopeful = {c.name for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)}
     tried = _narrowed(
-        tried, lambda c: c.fit.total if c.fit and c.name in hopeful else -np.inf, min(NARROW, len(hopeful)),
-        lambda c: follow(stage.problem, c),
-    )  # fmt: skip
-    null = _null(lens, fit, tried) if hopeful else null
+        tried, lambda c: c.promised if c.name in hopeful else -np.inf, min(NARROW, len(hopeful)), lambda c: pursue(c, quiet)
+    )
+    null = _null(stage.problem, lens, fit, tried) if hopeful else null
     reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None
@@ -157,7 +188,8 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     plain = refit(problem, fit.simulator, fit.free, fit.values, fit.starts)
     before = squares(plain, bench.train)
     sizes = {c.name: fall(before, squares(c.fit, bench.train), find_effect(c.name).local) for c in contenders if c.fit}
-    large = [c for c in contenders if sizes[c.name] >= SIZE and _proven(problem.only(bench.held), plain, c)]
+    held = problem.only(bench.held)
+    large = [c for c in contenders if sizes[c.name] >= SIZE and c.inside(stage.servo.limits) and _proven(held, plain, c)]
     enough = plain.total + RIVAL * (leader.fit.total - plain.total if leader.fit else 0.0)
     leader = max([c for c in large if c.fit and c.fit.total > enough] or contenders, key=lambda c: c.merit)
     leader = max([c for c in large if _spares(c, leader)] or [leader], key=lambda c: c.merit)
@@ -166,22 +198,19 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     ties = tuple(c.name for c in large if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
     told = [replace(c, refused="{:.1f} +- {:.1f} s{:.2f}".format(*apart(leader, c), sizes[c.name])) for c in contenders]
     table = {c.name: c for c in tried} | {c.name: c for c in told}
-    return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "", proven=leader in large)
+    finer = finer_gain(problem, plain, leader.fit)
+    return Verdict(
+        tuple(table.values()), null, plain.total, leader, gain, size, ties, "", proven=leader in large, finer=finer
+    )
 
 
-def _null(lens: Lens, fit: Fit, tried: Sequence[Candidate]) -> Null:
+def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) -> Null:
     """Return the null of the largest gain; what the best candidate explains does not count as noise."""
     reached = [c for c in tried if c.fit is not None]
     leader = max(reached, key=lambda c: c.merit)
     assert leader.fit is not None
-    rest = lens.freed(leader.fit.white[:, :, None])[:, :, 0]
+    rest = lens.freed(rescored(problem, leader.fit).white[:, :, None])[:, :, 0]
     return largest_gain({c.name: c.banks for c in reached}, rest, fit.weight)
-
-
-def _ahead(problem: Problem, candidate: Candidate) -> float:
-    """Return the log-likelihood that a candidate promises from where it stands."""
-    assert candidate.fit is not None
-    return candidate.fit.total + promise(problem, candidate.fit)
 
 
 def _narrowed(
@@ -303,6 +332,10 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         if any(group(name) != group(verdict.best.name) for name in verdict.ties):
             rounds[-1] = replace(verdict, decision="several effects explain it alike")
             break
+        if verdict.finer is not None and not steady(verdict.gain, verdict.finer):
+            why = f"'{verdict.best.name}' is numerical: its gain changes with the step of the simulation"
+            rounds[-1] = replace(verdict, decision=why)
+            break
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
@@ -310,7 +343,7 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         if spared:
             text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
             rounds[-1] = replace(rounds[-1], decision=text)
-        if len(taken) >= MOST or bench.narrow:
+        if len(taken) - len(base.servo.effects) >= MOST or bench.narrow:
             break
     return stage, rounds
 
@@ -324,7 +357,7 @@ def base_servo(
     """
     free = []
     for name, (low, high) in bounds.items():
-        doubt = 2.0 * max(abs(nominal[name]), 1e-3 * (high - low), 1e-12)
+        doubt = max(2.0 * abs(nominal[name]), 0.5 * (high - low), 1e-12)
         free.append(Free(name, low, high, nominal=nominal[name], doubt=doubt))
     rigid = f"{law}.Fc" in nominal and not find_law(law).states
     values = dict(nominal)

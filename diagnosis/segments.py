@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -157,6 +158,15 @@ class Simulator:
         self._chosen = slice(1, 2) if segments.velocity else slice(0, 2)
         self._input = np.array([program.index["u"]], dtype=np.int32)
         self._observed = program.index["v" if segments.velocity else "theta"]
+
+    def finer(self) -> Simulator:
+        """Return the same with half the step of dry friction and a tenth of the tolerance."""
+        other, index = copy(self), self._native.program.index
+        other._v = self._v.copy()
+        for name, factor in (("solver.friction_step", 0.5), ("solver.tolerance", 0.1)):
+            if name in index:
+                other._v[index[name]] *= factor
+        return other
 
     def run(self, values: Mapping[str, float], starts: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask]:
         """Simulate all segments from the given states (segments, 2).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
 from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.fit import Fit, evaluate, refit
+from bristle.diagnosis.fit import Fit, Free, evaluate, refit
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.lens import motion
-from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.modelfile import REACH, Model
+from bristle.diagnosis.noise import Noise
+from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
@@ -34,10 +36,12 @@ CERTAIN = 0.01
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
 MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
+EDGE = 0.1  # of the time, at either end, in which no step is looked for
 MAPS = 6  # views whose residual is drawn
+ROTARY = ("gravity", "eccentric_encoder")  # effects that repeat with the turn of a shaft
 
 
-def bench_of(model: Model, records: Sequence[Record], values: Mapping[str, float]) -> Bench:
+def bench_of(model: Model, records: Sequence[Record]) -> Bench:
     """Return the records as segments with their smoothed motion."""
     h, velocity = records[0].h, model.output_kind == "velocity"
     length = max(8, round(SEGMENT / h))
@@ -57,7 +61,29 @@ def bench_of(model: Model, records: Sequence[Record], values: Mapping[str, float
     kept = [r.y for r in records if len(r.u) >= 3 * length]
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h))
-    return Bench(segments, moved, resolution, least, excitation(model, records)["narrow"])
+    bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"])
+    if not model.linear:
+        return bench
+    refused = {name: "needs a shaft that turns: this axis is linear" for name in ROTARY}
+    return replace(bench, barred=refused, turn=float(np.ptp(moved.theta)))
+
+
+def limits(bench: Bench) -> dict[str, tuple[float, float]]:
+    """Return how far parameters of effects may move on this axis and in these records.
+
+    Periods: at least two in a turn or, on a linear axis, in the range that was travelled; fewer are no ripple, but any
+    slow change with the position. (Friction that changes once in a turn has a cause in a shaft.) A step: where enough is
+    seen before and after, else it is a bias with a few odd segments. A stop: touched less than half of the time, else it
+    is a spring or a bias.
+    """
+    least = 2 * 2 * math.pi / bench.turn
+    periodic = ("cogging.periods", "position_friction.periods") if bench.barred else ("cogging.periods",)
+    first, last = np.quantile(bench.motion.time, [EDGE, 1 - EDGE])
+    middle = float(np.median(bench.motion.theta))
+    return {
+        "disturbance_step.onset": (float(first), float(last)), "hard_stop.upper": (middle, math.inf),
+        "hard_stop.lower": (-math.inf, middle), **{name: (least, math.inf) for name in periodic},
+    }  # fmt: skip
 
 
 def fixed_values(h: float) -> dict[str, float]:
@@ -85,9 +111,39 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     """
     begun = time.perf_counter()
     tell = progress or (lambda text, fraction: None)
+    said = check(model, records)
+    bench = bench_of(model, records)
+    servo, values = base_of(model, bench)
+    if said.proposals:
+        return mend_first(model, records, said, nominal_gap(bench, servo, values), time.perf_counter() - begun)
     tell("base refit", 0.0)
-    bench = bench_of(model, records, {"b": 1.0, **model.parameters})
-    return examine(model, records, bench, settle(bench, *base_of(model, bench)), tell, begun)
+    found = examine(model, records, bench, settle(bench, servo, values), tell, begun)
+    return replace(found, findings=(*found.findings, *said.findings))
+
+
+def nominal_gap(bench: Bench, servo: Servo, values: Mapping[str, float]) -> float:
+    """Return the mean squared error of a servo as it is [output squared]; NaN if it cannot follow the records at all."""
+    white = Noise(np.eye(bench.segments.bins), 0.0, 0.0, 1.0, 1.0)
+    problem = bench.problem(white, bench.segments.judged)
+    fit = evaluate(problem, servo.simulator(bench.segments), servo.free, dict(values), bench.segments.starts)
+    live = fit.weight > 0
+    return mean_square(fit, live) if live.any() else math.nan
+
+
+def mend_first(
+    model: Model, records: Sequence[Record], said: Plausibility, gap: float, seconds: float, lines: Sequence[str] = ()
+) -> answer.Diagnosis:
+    """Return a diagnosis that names nothing, because data and model do not speak of the same thing.
+
+    `gap` is the mean squared error of the model as it is [output squared]; `lines` are findings to begin with.
+    """
+    why = "No effect was looked for: data and model disagree in a way that is more likely a mistake in one of them. Proposed: "
+    return answer.Diagnosis(
+        verdict="not_identifiable", statement=(why + "; ".join(said.proposals) + ".",), effects=(), ties=(), experiment="",
+        where=(), remains=answer.Remains(False, None, 0.0), gap=answer.Gap(gap, gap, None, f"({model.output_unit})2"),
+        excitation=excitation(model, records), findings=(*lines, *(f for r in records for f in r.findings), *said.findings),
+        base={}, parameters={}, rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=seconds,
+    )  # fmt: skip
 
 
 def base_of(model: Model, bench: Bench) -> tuple[Servo, dict[str, float]]:
@@ -98,7 +154,21 @@ def base_of(model: Model, bench: Bench) -> tuple[Servo, dict[str, float]]:
     rigid = servo.rigid and not set(model.effects) & set(ELASTIC)
     free = tuple(f for f in servo.free if rigid or not f.name.startswith(f"{RIGID}."))
     own = {f"{effect}.{name}": value for effect, given in model.effects.items() for name, value in given.items()}
-    return replace(servo, effects=tuple(model.effects), free=free, rigid=rigid), {**values, **own}
+    more = tuple(f for effect, given in model.effects.items() for f in _held(effect, given))
+    servo = replace(servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid, limits=limits(bench))
+    return servo, {**values, **own}
+
+
+def _held(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
+    """Give the free parameters of an effect that the model has already, loosely held by their values there.
+
+    A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never reached, stays.
+    """
+    resting = {key for key, value in idle(effect).items() if given[key.removeprefix(f"{effect}.")] == value}
+    for f in freedom(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in resting}, {}):
+        value = given[f.name.removeprefix(f"{effect}.")]
+        known = math.log(value) if f.factor else value
+        yield replace(f, nominal=known, doubt=1.0 if f.factor else 2.0 * abs(value)) if value else f
 
 
 def examine(
@@ -106,12 +176,48 @@ def examine(
 ) -> answer.Diagnosis:
     """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
     final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
+    if final.servo.effects != base.servo.effects and (line := better_unbound(model, bench, base, final)):
+        said = Plausibility((line,), ())
+        return mend_first(model, records, said, mean_square(base.fit, bench.held), time.perf_counter() - begun)
     tell("what remains", 0.85)
     narrow = bool(bench.narrow) and final is not base
     if narrow and _remains(_views(bench, base, final)[1], (), _gap(model, bench, base, final)).flag:
         why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too uniform a motion to name it"
         final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
     return _conclude(model, records, bench, base, final, rounds, begun)
+
+
+def better_unbound(model: Model, bench: Bench, base: Stage, final: Stage) -> str | None:
+    """Return a proposal where wider bounds alone explain the records better than the effects that were found within them."""
+    stuck = (f for f in base.servo.free if f.name in model.bounds and f.stuck(base.fit.values[f.name]))
+    tight = {f.name: f for f in stuck if base.fit.values[f.name] != 0.0}
+    if not tight:
+        return None
+    ends = {name: sorted((f.low / REACH, f.high * REACH)) for name, f in tight.items()}
+    free = tuple(replace(f, low=ends[f.name][0], high=ends[f.name][1]) if f.name in tight else f for f in base.servo.free)
+    wide = settle(bench, replace(base.servo, free=free), base.fit.values)
+    price = 0.5 * (len(final.fit.free) - len(wide.fit.free)) * math.log(np.count_nonzero(bench.train) + 1.0)
+    if wide.fit.total < final.fit.total - price:
+        return None
+    lines = []
+    for name, f in tight.items():
+        value, unit = wide.fit.values[name], model.unit(name)
+        lines.append(f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]")
+    return f"wider bounds, for without any effect the records fit {' and '.join(lines)}, better than any effect within the bounds"
+
+
+def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mapping[str, answer.Estimate]) -> list[str]:
+    """Return a line on parameters of the plain model that end at a bound, and on whether they still do with what was found."""
+    lines = []
+    for name, e in plain.items():
+        if e.at_bound:
+            low, high = model.bounds.get(name, (-math.inf, math.inf))
+            unit = "" if e.unit == "1" else f" {e.unit}"
+            later = "" if name not in whole or whole[name].at_bound else "; with what was found it does not"
+            advice = "none is seen in these records" if e.value == 0.0 == low else "widen it if it may be wrong"
+            where = f"its bound {e.value:.4g}{unit} of [{low:.4g}, {high:.4g}]"
+            lines.append(f"the base refit of {name} ends at {where}{later}: {advice}")
+    return lines
 
 
 def _conclude(
@@ -146,7 +252,7 @@ def _conclude(
         remains=remains,
         gap=gap,
         excitation=excitation(model, records),
-        findings=tuple(f for r in records for f in r.findings),
+        findings=(*(f for r in records for f in r.findings), *bound_lines(model, plain, intervals)),
         base=plain,
         parameters=own,
         rounds=tuple(_round(v) for v in rounds),
@@ -284,4 +390,4 @@ def _round(v: Verdict) -> answer.Round:
     bars.sort(key=lambda bar: -bar.gain)
     added = v.best.name if v.best and v.named else None
     top = v.best.name if v.best else bars[0].name if bars else ""
-    return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size)
+    return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size, v.finer)

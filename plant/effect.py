@@ -69,6 +69,8 @@ class Evidence:
         Fitted inertia [kg.m2], dry friction [N.m] and torque over input.
     regress : function
         Coefficients (k,) of torques (n, k) [N.m] in what the model leaves, and the log-likelihood they gain [nats].
+    turn : float
+        Path after which a motion begins anew: one turn or, on a linear axis, the range that was travelled.
     """
 
     theta: Array
@@ -82,6 +84,11 @@ class Evidence:
     level: float
     gain: float
     regress: Callable[[Array], tuple[Array, float]]
+    turn: float = 2 * np.pi
+
+    def waves(self, least: int, most: int) -> list[float]:
+        """Return the numbers of periods [1/rad] of which so many fit into a turn."""
+        return [2 * np.pi / self.turn * n for n in range(least, most + 1)]
 
     def best(self, options: Sequence[float], columns: Callable[[float], Array], count: int) -> list[tuple[float, Array]]:
         """Return the options whose torques gain most, each with its coefficients; the best first."""

@@ -27,7 +27,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
         return np.column_stack([np.sin(periods * e.theta), np.cos(periods * e.theta)])
 
     starts: list[dict[str, float]] = []
-    for periods, (sine, cosine) in e.best([float(n) for n in range(2, 61)], columns, 2):
+    for periods, (sine, cosine) in e.best(e.waves(2, 60), columns, 2):
         one = {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), "periods": periods}
         sine, cosine = e.regress(columns(2 * periods))[0]
         starts += [one, one | {"amplitude2": math.hypot(sine, cosine), "phase2": math.atan2(cosine, sine)}]

@@ -1,0 +1,208 @@
+"""The four measured data sets diagnosed: what is asked of each, and what the workflow says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import records as measured
+from records import Array, Entry
+
+from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
+from bristle.diagnosis.plausibility import check
+from bristle.diagnosis.search import settle
+from bristle.diagnosis.segments import smooth
+from bristle.diagnosis.workflow import base_of, bench_of
+from bristle.model.native import Native
+from bristle.plant.servo import servo_program
+
+UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One diagnosis: what was asked for, what counts as right, what was said; further numbers with their names."""
+
+    name: str
+    question: str
+    wanted: tuple[frozenset[str], ...]  # names of effects, any of these sets
+    records: tuple[Record, ...]
+    found: Diagnosis
+    numbers: dict[str, str] = field(default_factory=dict)
+    data: dict[str, Any] = field(default_factory=dict)  # for the figures
+
+    @property
+    def said(self) -> str:
+        """The answer in a few words."""
+        if self.found.verdict == "named":
+            tied = {name for tie in self.found.ties for name in tie}
+            return " + ".join(_with_rivals(e.name, self.found.ties if e.name in tied else ()) for e in self.found.effects)
+        if self.found.verdict == "tie":
+            return "tie of " + ", ".join(" / ".join(tie) for tie in self.found.ties)
+        return self.found.verdict.replace("_", " ")
+
+    @property
+    def right(self) -> bool:
+        """True if what was named is what was asked for."""
+        return frozenset(e.name for e in self.found.effects) in self.wanted
+
+
+def _with_rivals(name: str, ties: Sequence[Sequence[str]]) -> str:
+    others = [other for tie in ties if name in tie for other in tie if other != name]
+    return f"{name} (or {', '.join(others)})" if others else name
+
+
+def declared(kind: str, parameters: dict[str, float], output: str = "rad", **more: Any) -> Model:
+    """Return a model with Coulomb friction; its bounds are those that a model file without bounds has."""
+    tables = {
+        "friction": "coulomb",
+        "parameters": parameters,
+        "time": {"column": "t", "unit": "s"},
+        "input": {"column": "u", "kind": kind, "unit": UNITS[kind]},
+        "output": {"column": "y", "kind": "position", "unit": output},
+    }
+    return Model.from_dict(tables | more)
+
+
+def taken(model: Model, entries: Sequence[Entry]) -> list[Record]:
+    """Return entries as the workflow takes them."""
+    return records_from_arrays(model, [(name, t, u, y) for name, t, u, y, _ in entries])
+
+
+# -- EMPS ----------------------------------------------------------------------------------------------------------------
+
+
+def emps(tell: Callable[[str], None]) -> Iterator[Run]:
+    """A linear axis whose friction differs by direction: the model has viscous and symmetric Coulomb friction."""
+    [entry] = measured.emps()
+    model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": entry[4]["gain"]}, "m")
+    records = taken(model, [entry])
+    tell("emps")
+    found = diagnose(model, records)
+    runs = {"before": whole_run(model, {}, values(found.base), records[0])}
+    effects = {e.name: values(e.parameters) for e in found.effects}
+    runs["after"] = whole_run(model, effects, values(found.parameters), records[0])
+    y = records[0].y
+    rmse = {name: float(np.sqrt(np.mean((run - y) ** 2))) for name, run in runs.items()}
+    drift = " and ".join(f"{1e3 * error:.2f} mm {name}" for name, error in rmse.items())
+    numbers = {"open-loop position over the whole record, rms error": drift}
+    wanted = (frozenset({"bias"}), frozenset({"asymmetric_coulomb"}))
+    data = {"time": records[0].time, "measured": y, **runs, "rmse": rmse}
+    yield Run("EMPS", "viscous and symmetric Coulomb friction given", wanted, tuple(records), found, numbers, data)
+
+
+def values(estimates: dict[str, Any]) -> dict[str, float]:
+    """Return the values of estimates."""
+    return {name: e.value for name, e in estimates.items()}
+
+
+def whole_run(model: Model, effects: dict[str, dict[str, float]], own: dict[str, float], record: Record) -> Array:
+    """Return the positions of a servo that follows the input of a whole record, in open loop from its first state."""
+    program = servo_program(model.friction, encoder=False, effects=tuple(effects))
+    first = record.y[: max(20, round(0.02 / record.h))]
+    speed = float(np.polyfit(record.h * np.arange(len(first)), first, 2)[1])
+    settings = model.settings(own | {f"{e}.{p}": x for e, given in effects.items() for p, x in given.items()})
+    native = Native(program, settings | {"theta_start": float(record.y[0]), "v_start": speed})
+    out, _ = native.run(record.h, {"u": record.u}, ["theta"])
+    return np.asarray(out[:-1, 0])
+
+
+# -- XL330 ---------------------------------------------------------------------------------------------------------------
+
+
+def xl330(tell: Callable[[str], None]) -> Iterator[Run]:
+    """A pendulum whose weight is hidden from the model: half a kilogram at 0.1 m, at four gains of its position loop."""
+    model = declared("voltage", {"J": 0.005, "a2": 0.03, "Fc": 0.04, "b": 0.1})
+    records = taken(model, measured.xl330())
+    tell("xl330")
+    found = diagnose(model, records)
+    numbers = {}
+    weight = next((e for e in found.effects if e.name == "gravity"), None)
+    if weight is not None:
+        ratio = weight.parameters["amplitude"].value / found.parameters["J"].value
+        numbers["weight over inertia, A/J"] = f"{ratio:.1f} s⁻²"
+    alone = frozenset({"gravity"})
+    wanted = (alone, alone | {"load_friction"}, alone | {"load_friction", "back_emf"})
+    yield Run("XL330", "gravity hidden", wanted, tuple(records), found, numbers)
+
+
+# -- Go1 -----------------------------------------------------------------------------------------------------------------
+
+ARM = 0.15  # m
+
+
+def go1(tell: Callable[[str], None]) -> Iterator[Run]:
+    """A leg motor with 0 to 3 kg: fitted without a load, then diagnosed with each."""
+    model = declared("torque", {"J": 0.002, "a2": 0.02, "Fc": 0.02})
+    tell("go1 without a load")
+    records = taken(model, measured.go1(0.0))
+    bench = bench_of(model, records)
+    unloaded = settle(bench, *base_of(model, bench)).fit.values
+    own = {name: float(unloaded[name]) for name in ("J", "a2", "coulomb.Fc")}
+    for mass in (1.0, 2.0, 3.0):
+        entries = measured.go1(mass)
+        known = declared("torque", {"J": own["J"], "a2": own["a2"], "Fc": own["coulomb.Fc"]})
+        loaded = taken(known, entries)
+        tell(f"go1 with {mass:g} kg")
+        found = diagnose(known, loaded)
+        numbers, data = {"inertia": f"{found.parameters['J'].value:.3g} kg·m²" if found.parameters else "–"}, {"mass": mass}
+        weight = next((e for e in found.effects if e.name == "gravity"), None)
+        if weight is not None:
+            data |= {"A": weight.parameters["amplitude"], "J": found.parameters["J"]}
+            gear = mass * 9.81 * ARM / weight.parameters["amplitude"].value
+            numbers["weight by the arm over what was found"] = f"{gear:.2f}"
+        numbers["with the inertia of the load and bounds of 60 % given"] = _warned(mass, own, entries)
+        yield Run(f"Go1, {mass:g} kg", "fitted without a load", (frozenset({"gravity"}),), tuple(loaded), found, numbers, data)
+
+
+def _warned(mass: float, own: dict[str, float], entries: Sequence[Entry]) -> str:
+    """Return what the plausibility check says to someone who knows mass and arm, and takes the torque for that of the joint."""
+    inertia = mass * ARM**2 + own["J"]
+    bounds = {"J": [0.6 * inertia, 1.6 * inertia], "a2": [0.0, 1.0], "Fc": [0.0, 1.0]}
+    model = declared("torque", {"J": inertia, "a2": own["a2"], "Fc": own["coulomb.Fc"]}, bounds=bounds)
+    said = check(model, taken(model, entries))
+    return "; ".join((*said.proposals, *said.findings)) or "nothing"
+
+
+# -- ODrive --------------------------------------------------------------------------------------------------------------
+
+
+def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
+    """A brushless motor turned slowly, its cogging compensated or not; the current is the input, the position the output."""
+    for compensated in (False, True):
+        model = declared("current", {"J": 2.5e-4, "a2": 1e-3, "Fc": 5e-3, "b": 7.5e-3})
+        entries = measured.odrive(compensated)
+        records = taken(model, entries)
+        word = "on" if compensated else "off"
+        tell(f"odrive, compensation {word}")
+        found = diagnose(model, records)
+        ripple = float(np.sqrt(np.mean([_ripple(t, y) ** 2 for _, t, _, y, _ in entries])))
+        numbers = {"ripple of the position, rms": f"{1e3 * ripple / (2 * math.pi):.2f}e-3 turns"}
+        if compensated:
+            numbers["cogging"] = found.undetected.get("cogging", "named")
+        wanted = (frozenset(),) if compensated else (frozenset({"cogging"}),)
+        data = {"compensated": compensated, "gain": model.parameters["b"]}
+        yield Run(f"ODrive, compensation {word}", "cogging hidden", wanted, tuple(records), found, numbers, data)
+
+
+def _ripple(t: Array, y: Array) -> float:
+    """Return the rms deviation of the position from a cubic in time; the loop's own start and end are left out."""
+    inside = slice(200, -200)
+    x = t[inside] - t[inside].mean()
+    return float(np.std(y[inside] - np.polyval(np.polyfit(x, y[inside], 3), x)))
+
+
+def torque_along(record: Record, gain: float) -> tuple[Array, Array]:
+    """Return position [rad] and motor torque [N.m], smoothed, of a record."""
+    return record.y, gain * smooth(record.u, record.h, 0.02)
+
+
+FOLDERS: dict[str, tuple[str, Callable[[Callable[[str], None]], Iterator[Run]]]] = {
+    "emps": ("EMPS: a linear axis with a worn screw", emps),
+    "bam_xl330_gain": ("XL330: a small servo with a hidden weight", xl330),
+    "bam_go1_load": ("Go1: a leg motor under load", go1),
+    "odrive_cogging": ("ODrive: a motor with and without its compensation", odrive),
+}

@@ -1,0 +1,106 @@
+"""Diagnose measured data of four rigs whose secret is known, and write what was said.
+
+    python benchmarks/measured/study.py            # all four: benchmarks/results/measured.md, docs/images, docs/diagnosis.md
+    python benchmarks/measured/study.py emps       # these folders only; tables are printed, figures go to out/measured
+
+The data are not part of the repository: they are looked for in the folder that BRISTLE_DATA names. A set that is not there
+is skipped, with a line that says so.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy
+    os.environ[variable] = "1"
+sys.path.insert(0, str(Path(__file__).parent))
+
+import draw  # noqa: E402
+from cases import FOLDERS, Run  # noqa: E402
+from records import ROOT as DATA  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+IMAGES, PAGE, RESULTS = ROOT / "docs" / "images", ROOT / "docs" / "diagnosis.md", ROOT / "benchmarks" / "results" / "measured.md"
+BEGIN, END = "<!-- measured data: written by benchmarks/measured/study.py -->", "<!-- end of measured data -->"
+HEAD = """## Measured data
+
+`python benchmarks/measured/study.py`: each set is diagnosed from a rough model, with the bounds of a model file that gives none.
+Errors are those of segments that the search has not seen. Right is what names the hidden effect, and nothing that is not there.
+"""
+ABOUT = {
+    "emps": """Linear axis with a ball screw, 25 s at 1 kHz; the input is in volts with its known gain in N/V. The model has viscous
+and symmetric Coulomb friction; the authors of the data name an offset, and friction that differs by direction.""",
+    "bam_xl330_gain": """Half a kilogram at 0.1 m on a small servo, 12 runs of 6 s at four gains of its position loop; the input is
+the voltage. The model does not know of gravity. Those who recorded it also name friction that grows with the load.""",
+    "bam_go1_load": """Runs of 6 s at 62.5 Hz with 0, 1, 2 and 3 kg at 0.15 m. The model is fitted to the runs without a load; with
+one, gravity and inertia must grow in proportion. The logged torque is that of the rotor, ahead of a gear that nobody mentions.""",
+    "odrive_cogging": """A motor turned once, slowly, three times with its anti-cogging compensation off and three times on; the
+input is the measured current, which holds that of the compensation: what it mends is the motion, not the motor.""",
+}
+
+
+def lines_of(run: Run) -> list[str]:
+    """Return what was said of one diagnosis, as a list."""
+    found = run.found
+    lines = [f"**{run.name}** ({len(run.records)} {'records' if len(run.records) > 1 else 'record'}, {run.question}): "
+             f"**{run.said}**, {'right' if run.right else 'wrong'}."]  # fmt: skip
+    lines += [f"  - {line}" for line in found.statement]
+    lines += [f"  - {name}: {text}" for name, text in run.numbers.items()]
+    return [f"- {lines[0]}", *lines[1:]]
+
+
+def table(runs: Sequence[Run]) -> list[str]:
+    """Return all diagnoses as a table."""
+    rows = ["| records | asked | said | right | rms error before | after | noise alone | s |", "|---|---|---|---|---|---|---|---|"]
+    for run in runs:
+        gap = run.found.gap
+        unit = gap.unit.removesuffix(")2").removeprefix("(")
+        cells = [f"{x**0.5:.3g} {unit}" if x is not None and x >= 0 else "–" for x in (gap.before, gap.after, gap.noise_floor)]
+        mark = "yes" if run.right else "no"
+        rows.append(f"| {run.name} | {run.question} | {run.said} | {mark} | {' | '.join(cells)} | {run.found.seconds:.0f} |")
+    return rows
+
+
+def section(folder: str, runs: Sequence[Run], image: str) -> list[str]:
+    """Return the text on one data set."""
+    title, _ = FOLDERS[folder]
+    body = [line for run in runs for line in lines_of(run)]
+    return [f"### {title}", "", ABOUT[folder], "", f"![{title}]({image})", "", *body, ""]
+
+
+def into(page: str, text: str) -> str:
+    """Return a page with the section between its marks replaced, or put at its end."""
+    if BEGIN in page and END in page:
+        return page[: page.index(BEGIN)] + text + page[page.index(END) + len(END) + 1 :]
+    return page.rstrip("\n") + "\n\n" + text if page else "# Diagnosis\n\n" + text
+
+
+def main(folders: Sequence[str]) -> int:
+    """Diagnose the data sets that are there."""
+    chosen, said, runs, complete = folders or list(FOLDERS), [], [], True
+    for folder in chosen:
+        if not (DATA / folder).is_dir():
+            print(f"{folder}: skipped, {DATA / folder} is not there (set BRISTLE_DATA)", file=sys.stderr)
+            complete = False
+            continue
+        done = list(FOLDERS[folder][1](lambda what: print(what, file=sys.stderr, flush=True)))
+        picture = draw.write(folder, done, IMAGES if not folders else ROOT / "out" / "measured")
+        said += section(folder, done, f"images/{picture.name}")
+        runs += done
+    if not runs:
+        return 0
+    text = "\n".join([HEAD, *table(runs), "", *said])
+    if folders or not complete:
+        print(text)
+        return 0
+    RESULTS.write_text("# Measured data\n\n" + "\n".join(table(runs)) + "\n", encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    PAGE.write_text(into(page, f"{BEGIN}\n{text.rstrip()}\n\n{END}\n"), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,316 @@
+"""Torques along the measured motion against the measured output: where a fit of the model with an effect may start.
+
+A simulation that starts from a bad model can stand still where the rig moves, and then nothing that is changed a little
+changes anything. Along the measured motion no such trap is there: the acceleration that model and effect give is
+integrated twice and compared with what was measured. Noise in the motion makes this worse than a simulation near the
+answer; it is made to find the neighbourhood, not to decide.
+
+Source: janot2014 (inverse dynamic model, linear in most parameters), in integral form to avoid differentiating the output.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis.candidates import FINALISTS, RIGID, Servo, Start, freedom, idle, starts
+from bristle.diagnosis.fit import ENOUGH, FREEDOM, Free
+from bristle.diagnosis.lens import Motion
+from bristle.diagnosis.noise import Noise, response
+from bristle.diagnosis.segments import Segments
+from bristle.model.errors import BristleError
+from bristle.plant.effect import Evidence
+from bristle.plant.effects import effect as find_effect
+from bristle.plant.friction import law as find_law
+from bristle.plant.servo import servo
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 12
+SETTLE = 2  # times that noise and parameters are estimated in turn
+DAMPING = 1e-3
+SEEN = ("theta", "v", "u", "time")
+
+
+class NotInstantError(Exception):
+    """The acceleration depends on more than position, velocity, input and time."""
+
+
+@lru_cache(maxsize=64)
+def _acceleration(law: str, effects: tuple[str, ...], free: tuple[str, ...]) -> tuple[ca.Function, tuple[str, ...]]:
+    """Return acceleration and derivatives by the free parameters as a function of motion and parameters, and their names."""
+    members = [find_effect(name) for name in effects]
+    system = servo(find_law(law), False, members)
+    hidden = set(system.states) - {"theta", "v"}
+    if hidden or system.before or system.after or system.modes or any(e.output or e.coupling for e in members):
+        raise NotInstantError
+    rate, v = system.rates["v"], system.symbols["v"]
+    if system.dry is not None:
+        backward = system.dry.bound if system.dry.backward is None else system.dry.backward
+        rate = rate - ca.if_else(v > 0, system.dry.bound, -backward) / system.dry.inertia
+    names = tuple(system.parameters)
+    seen = [system.symbols[name] if name != "time" else system.time for name in SEEN]
+    given = ca.vertcat(*(system.symbols[name] for name in names))
+    still = {"tau_load": 0.0, "load_scale": 1.0}
+    rate = ca.substitute(system.expand(rate), ca.vertcat(*(system.symbols[name] for name in still)), ca.DM(list(still.values())))
+    slopes = ca.horzcat(*(ca.jacobian(rate, system.symbols[name]) for name in free)) if free else ca.SX(1, 0)
+    return ca.Function("balance", [*seen, given], [rate, slopes]), names
+
+
+@dataclass(frozen=True)
+class Found:
+    """Parameters that balance the torques, the log-likelihood of that [nats, up to a constant], whitened residuals."""
+
+    values: dict[str, float]
+    total: float
+    residual: Array
+    weight: Array
+
+
+class Balance:
+    """The measured motion of the judged segments, an average a bin.
+
+    Parameters
+    ----------
+    segments, motion : Segments, Motion
+        The records, and their smoothed motion.
+    judged : ndarray of bool, shape (segments,)
+        Which segments count.
+    fixed : mapping
+        Values of parameters that the servo has beside those that are given later.
+    """
+
+    def __init__(self, segments: Segments, motion: Motion, judged: NDArray[np.bool_], fixed: Mapping[str, float]) -> None:
+        s, self._judged, self._fixed = segments, judged, fixed
+        self.shape, self.step = (len(s.seen), s.bins), s.h * s.width
+
+        def mean(x: Array) -> Array:
+            return np.asarray(x.reshape(-1, s.width).mean(axis=1))
+
+        self.motion = Motion(
+            mean(motion.theta), mean(motion.v), mean(motion.a), mean(motion.u), mean(motion.time),
+            mean(motion.moving.astype(float)) > 0.5, motion.record[:: s.width],
+        )  # fmt: skip
+        self._moving = self.motion.moving.reshape(self.shape)
+        fine = response(1.0, 0.0, s.h, s.width, s.bins, s.velocity)
+        self._pulses = fine.reshape(s.bins, s.bins, s.width).sum(axis=2)
+        self._seen = s.seen
+        t = np.linspace(-1.0, 1.0, s.bins)
+        self._start = np.ones((s.bins, 1)) if s.velocity else np.column_stack([np.ones(s.bins), t])
+        self._whiten(_white(s.bins, 1.0))
+
+    def under(self, noise: Noise) -> Balance:
+        """Return the same under another noise; start states are taken out of everything."""
+        other = copy(self)
+        other._whiten(noise)
+        return other
+
+    def evenly(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Balance:
+        """Return the same under a white noise as large as what is left."""
+        left = self.under(_white(len(self._start), 1.0))._white_of(self.left(law, effects, values))
+        return self.under(_white(len(self._start), max(float(np.sqrt(np.mean(left[self._judged] ** 2))), 1e-12)))
+
+    def _white_of(self, averages: Array) -> Array:
+        return np.asarray(averages @ self._project.T)
+
+    def _whiten(self, noise: Noise) -> None:
+        q = np.linalg.qr(noise.whiten @ self._start)[0]
+        self._project = noise.whiten - q @ (q.T @ noise.whiten)
+        self._through = self._project @ self._pulses
+        self._white, self._log_det = self._white_of(self._seen), noise.log_det
+
+    def pull(self, acceleration: Array) -> Array:
+        """Return what accelerations (points, k) do to the whitened averages (segments, bins, k); at rest, nothing."""
+        held = acceleration.reshape(*self.shape, -1) * self._moving[:, :, None]
+        return np.asarray(np.einsum("nl,slk->snk", self._through, held, optimize=True))
+
+    def weight(self, residual: Array) -> Array:
+        """Return 1 for segments that count."""
+        return (self._judged & np.isfinite(residual).all(axis=1)).astype(float)
+
+    def _along(
+        self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]
+    ) -> tuple[Array, Array]:
+        """Return accelerations (points,) along the motion and their slopes (points, free), on the scale each moves on."""
+        function, names = _acceleration(law, effects, tuple(f.name for f in free))
+        known = {**_defaults(law, effects), **self._fixed, **values}
+        m = self.motion
+        rate, slopes = function(m.theta[None], m.v[None], m.u[None], m.time[None], [known[name] for name in names])
+        a = np.asarray(rate).ravel()
+        # one row of slopes after the other, a point each
+        by = np.asarray(slopes).reshape(len(a), len(free)) if free else np.empty((len(a), 0))
+        return a, by * [values[f.name] if f.factor else 1.0 for f in free]
+
+    def evaluate(
+        self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]
+    ) -> tuple[Array, Array]:
+        """Return whitened residuals (segments, bins) and the slopes (segments, bins, free) of what they are compared with."""
+        a, by = self._along(law, effects, free, values)
+        return self._white - self.pull(a[:, None])[:, :, 0], self.pull(by)
+
+    def left(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Array:
+        """Return what is left of the averages (segments, bins) [unit of the output], start states not taken out."""
+        a, _ = self._along(law, effects, (), values)
+        return np.asarray(self._seen - (a.reshape(self.shape) * self._moving) @ self._pulses.T)
+
+    def fit(self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]) -> Found:
+        """Return the parameters in their intervals that balance the torques best, from given values.
+
+        Levenberg-Marquardt; segments have a t distribution, as in the simulation.
+        """
+        best = self._at(law, effects, free, {**values, **{f.name: f.inside(values[f.name]) for f in free}})
+        damping = DAMPING
+        for _ in range(ITERATIONS):
+            found, slopes = best
+            normal = np.einsum("s,snp,snq->pq", found.weight, slopes, slopes, optimize=True)
+            pull = np.einsum("s,snp,sn->p", found.weight, slopes, found.residual, optimize=True)
+            scale = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
+            active = np.array([not _leaves(f, found.values[f.name], p) for f, p in zip(free, pull, strict=True)], dtype=bool)
+            if not active.any():
+                break
+            step = np.zeros(len(free))
+            size = np.sqrt(np.diag(normal) + scale)
+            table = (normal + np.diag(scale)) / np.outer(size, size)
+            step[active] = np.linalg.solve(table[np.ix_(active, active)], (pull / size)[active]) / size[active]
+            trial = self._at(law, effects, free, _moved(free, found.values, step))
+            gain = trial[0].total - found.total
+            if gain > 0:
+                best, damping = trial, damping / 5
+            else:
+                damping = max(damping, 1e-4) * 8
+            if 0 <= gain < ENOUGH or damping > 1e4:
+                break
+        return best[0]
+
+    def _at(
+        self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: dict[str, float]
+    ) -> tuple[Found, Array]:
+        residual, slopes = self.evaluate(law, effects, free, values)
+        finite = np.asarray(np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2)))
+        residual, slopes = np.where(finite[:, None], residual, 1e3), np.where(finite[:, None, None], slopes, 0.0)
+        n = residual.shape[1] - self._start.shape[1]
+        misfit = np.square(residual).sum(axis=1)
+        weight = np.where(self._judged, (FREEDOM + n) / (FREEDOM + misfit), 0.0)
+        score = 0.5 * (FREEDOM + n) * np.log1p(misfit / FREEDOM) + 0.5 * self._log_det
+        total = -float(score[self._judged].sum())
+        return Found(values, total, residual, weight), slopes
+
+    def regress(self, found: Found, own: Array, inertia: float, torques: Array) -> tuple[Array, float]:
+        """Return coefficients (k,) of torques (points, k) [N.m] beside the model's own slopes, and what they gain [nats]."""
+        columns = self.pull(torques / inertia)
+        k = columns.shape[2]
+        both = np.concatenate([columns, own], axis=2)
+        normal = np.einsum("s,snp,snq->pq", found.weight, both, both, optimize=True)
+        slope = np.einsum("s,snp,sn->p", found.weight, both, found.residual, optimize=True)
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        table = normal / np.outer(size, size) + 1e-9 * np.eye(len(size))
+        answer = np.linalg.solve(table, slope / size) / size
+        alone = np.linalg.solve(table[k:, k:], slope[k:] / size[k:]) / size[k:] if len(size) > k else np.zeros(0)
+        return answer[:k], 0.5 * float(slope @ answer - slope[k:] @ alone)
+
+
+class Joint:
+    """The model fitted to the balance of torques, and effects on top of it.
+
+    Parameters
+    ----------
+    balance : Balance
+        The measured motion.
+    servo : Servo
+        Law and effects so far, with their free parameters.
+    values : mapping
+        Where these stand.
+    estimate : function
+        Returns the noise of a residual (segments, bins), given the weights of segments and the values of parameters.
+    resolution, turn : float
+        Step of the output; path after which a motion begins anew.
+    """
+
+    def __init__(
+        self,
+        balance: Balance,
+        servo: Servo,
+        values: Mapping[str, float],
+        estimate: Callable[[Array, Array, Mapping[str, float]], Noise],
+        resolution: float,
+        turn: float,
+    ) -> None:
+        self._servo, self._resolution, self._estimate, self._turn = servo, resolution, estimate, turn
+        self._free = tuple(f for f in servo.free if not f.name.startswith(f"{RIGID}."))
+        given = {name: value for name, value in values.items() if not name.startswith(f"{RIGID}.")}
+        # a large effect hides in the noise that the model without it leaves: white noise lets slow residuals speak too
+        self._looks: list[tuple[Balance, Found]] = []
+        try:
+            plain = balance.evenly(servo.law, servo.effects, given)
+            found = plain.fit(servo.law, servo.effects, self._free, given)
+            coloured, better = self._settled(plain, servo.effects, self._free, found)
+            self._looks = [(plain, found), (coloured, better)]
+        except NotInstantError:
+            pass
+
+    def _settled(self, balance: Balance, effects: tuple[str, ...], free: tuple[Free, ...], found: Found) -> tuple[Balance, Found]:
+        """Return a fit under the noise that it leaves."""
+        for _ in range(SETTLE):
+            left = balance.left(self._servo.law, effects, found.values)
+            balance = balance.under(self._estimate(left, balance.weight(left), found.values))
+            found = balance.fit(self._servo.law, effects, free, found.values)
+        return balance, found
+
+    def starts(self, name: str) -> list[Start]:
+        """Return the parameters with which an effect explains most; nothing where a balance does not show it."""
+        law, effects = self._servo.law, (*self._servo.effects, name)
+        defaults = {p.name: p.default for p in find_effect(name).parameters} | idle(name)
+        found: list[tuple[float, Start]] = []
+        try:
+            for balance, base in self._looks:
+                trials = []
+                for start in starts(name, self._evidence(balance, base)):
+                    free = (*self._free, *freedom(name, start, self._servo.limits))
+                    values = {**defaults, **base.values, **{f"{name}.{k}": v for k, v in start.items()}}
+                    trials.append((balance.fit(law, effects, free, values), free, start))
+                trials.sort(key=lambda trial: -trial[0].total)
+                for best, free, start in trials[:FINALISTS]:
+                    _, best = self._settled(balance, effects, free, best)
+                    found.append((best.total, (best.values, {key: best.values[f"{name}.{key}"] for key in start})))
+        except (NotInstantError, BristleError):
+            return []
+        return [max(found, key=lambda each: each[0])[1]] if found else []
+
+    def _evidence(self, balance: Balance, found: Found) -> Evidence:
+        m, values = balance.motion, found.values
+        _, own = balance.evaluate(self._servo.law, self._servo.effects, self._free, values)
+        level = next((values[f.name] for f in self._free if f.name.endswith(".Fc")), 0.0)
+        level = level or 0.1 * float(np.mean(np.abs(values["b"] * m.u)))
+        return Evidence(
+            m.theta, m.v * m.moving, m.a, m.u, m.time, balance.step, self._resolution, values["J"], level, values["b"],
+            lambda torques: balance.regress(found, own, values["J"], torques), self._turn,
+        )  # fmt: skip
+
+
+def _white(bins: int, level: float) -> Noise:
+    return Noise(np.eye(bins) / level, 2 * bins * math.log(level), 0.0, 1.0, level)
+
+
+def _leaves(free: Free, value: float, pull: float) -> bool:
+    return bool((value <= free.low and pull < 0) or (value >= free.high and pull > 0))
+
+
+def _moved(free: tuple[Free, ...], values: Mapping[str, float], step: Array) -> dict[str, float]:
+    moved = dict(values)
+    for f, d in zip(free, step, strict=True):
+        value = values[f.name] * float(np.exp(np.clip(d, -1.0, 1.0))) if f.factor else values[f.name] + float(d)
+        moved[f.name] = f.inside(value)
+    return moved
+
+
+@lru_cache(maxsize=64)
+def _defaults(law: str, effects: tuple[str, ...]) -> dict[str, float]:
+    system = servo(find_law(law), False, [find_effect(name) for name in effects])
+    return {name: p.default for name, p in system.parameters.items()}

@@ -1,0 +1,65 @@
+"""The balance of torques along the measured motion: model and effect at once, from a start that a simulation gets stuck at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis.numerics import steady
+from bristle.diagnosis.workflow import base_of, bench_of, limits, settle
+
+
+@pytest.fixture(scope="module")
+def joint(measured: Callable[..., Any]) -> Callable[[dict[str, Any], str], Any]:
+    def make(tree: dict[str, Any], name: str) -> Any:
+        model = Model.from_dict(tree)
+        records = records_from_arrays(model, [("run", *measured(name, 1)[:3])])
+        bench = bench_of(model, records)
+        return bench.joint(settle(bench, *base_of(model, bench)))
+
+    return make
+
+
+HIDDEN = [("gravity", "amplitude", 0.3), ("cogging", "amplitude", 0.08), ("bias", "torque", 0.05)]
+
+
+@pytest.mark.parametrize(("name", "parameter", "true"), HIDDEN)
+def test_it_starts_near_the_truth(
+    name: str, parameter: str, true: float, joint: Callable[..., Any], tree: dict[str, Any]
+) -> None:
+    tree["parameters"] = {"J": 0.02, "a2": 0.01, "Fc": 0.3}
+    [(values, start)] = joint(tree, name).starts(name)
+    assert abs(start[parameter]) == pytest.approx(true, rel=0.15)
+    assert values["J"] == pytest.approx(0.01, rel=0.1)
+    assert values["coulomb.Fc"] == pytest.approx(0.12, rel=0.15)
+
+
+def test_it_says_nothing_where_hidden_states_matter(joint: Callable[..., Any], tree: dict[str, Any]) -> None:
+    found = joint(tree, "bias")
+    for name in ("compliance", "input_delay", "presliding", "eccentric_encoder"):
+        assert found.starts(name) == []
+
+
+def test_limits_follow_the_axis_and_the_records(tree: dict[str, Any], measured: Callable[..., Any]) -> None:
+    model = Model.from_dict(tree)
+    bench = bench_of(model, records_from_arrays(model, [("run", *measured("bias", 1)[:3])]))
+    rotary = limits(bench)
+    assert rotary["cogging.periods"][0] == pytest.approx(2.0)
+    assert "position_friction.periods" not in rotary
+    assert 0.0 < rotary["disturbance_step.onset"][0] < rotary["disturbance_step.onset"][1] < 12.0
+    tree["input"] = {"column": "u", "kind": "force", "unit": "N"}
+    tree["output"] = {"column": "theta", "kind": "position", "unit": "m"}
+    model = Model.from_dict(tree)
+    bench = bench_of(model, records_from_arrays(model, [("run", *measured("bias", 1)[:3])]))
+    span = float(np.ptp(bench.motion.theta))
+    assert limits(bench)["cogging.periods"][0] == pytest.approx(4 * np.pi / span)
+    assert limits(bench)["position_friction.periods"][0] == pytest.approx(4 * np.pi / span)
+
+
+def test_a_gain_may_change_a_little_with_the_step() -> None:
+    assert steady(100.0, 85.0)
+    assert not steady(100.0, 70.0)

@@ -1,0 +1,205 @@
+"""The whole way through the command line: what is refused, what is proposed instead of an answer, what is named."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bristle.cli import main as cli
+from bristle.diagnosis import Model, diagnose, records_from_arrays
+from bristle.diagnosis.modelfile import write_model
+
+Call = Callable[..., tuple[int, dict[str, Any], str]]
+Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@pytest.fixture
+def call(
+    tree: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Call]:
+    """Return what diagnoses arrays through the command line: (exit code, diagnosis.json, standard error)."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def run(*records: Columns, **changes: Any) -> tuple[int, dict[str, Any], str]:
+        write_model(Model.from_dict(deepcopy(tree) | changes), tmp_path / "model.toml")
+        files: list[object] = []
+        for i, (t, u, y) in enumerate(records):
+            path = tmp_path / f"r{i}.npz"
+            np.savez(path, t=t, u=u, theta=y)
+            files += ["--data", path]
+        out = tmp_path / "out"
+        monkeypatch.setattr(sys, "argv", ["bristle", "diagnose", *map(str, (tmp_path / "model.toml", *files, "--out", out))])
+        with pytest.raises(SystemExit) as done:
+            cli.main()
+        assert isinstance(done.value.code, int)
+        answer = out / "diagnosis.json"
+        content = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
+        return done.value.code, content | {"files": sorted(p.name for p in out.glob("*"))}, capsys.readouterr().err
+
+    yield run
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture(scope="module")
+def plain(measured: Callable[..., Any]) -> list[Columns]:
+    return [measured("bias", seed, plain=True)[:3] for seed in (1, 2)]
+
+
+REFUSED: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
+    "too short": (lambda c: (c[0][:900], c[1][:900], c[2][:900]), "lasts 0.899 s", "record longer"),
+    "too few": (lambda c: (c[0][:150], c[1][:150], c[2][:150]), "150 samples", "record longer"),
+    "constant input": (lambda c: (c[0], 0.1 + 0 * c[1], c[2]), "input is constant", "give a record in which it moves"),
+    "no motion": (lambda c: (c[0], c[1], 0 * c[2]), "nothing moves", "give a record with motion"),
+    "NaN": (lambda c: (c[0], np.where(np.arange(len(c[1])) == 500, np.nan, c[1]), c[2]), "input is not finite", "repair"),
+    "time runs back": (lambda c: (np.where(c[0] < 5, c[0], c[0] - 1), c[1], c[2]), "time falls back", "sort the record"),
+    "milliseconds": (lambda c: (c[0] * 1e3, c[1], c[2]), "sampled every 1 s", "unit right (ms, us)"),
+}
+
+
+@pytest.mark.parametrize("what", list(REFUSED))
+def test_what_is_refused_is_refused_in_one_line(what: str, call: Call, plain: list[Columns]) -> None:
+    change, found, advice = REFUSED[what]
+    code, answer, error = call(*(change(each) for each in plain))
+    assert code == 2
+    assert len(error.splitlines()) == 1
+    assert found in error
+    assert advice in error
+    assert answer["files"] == []
+
+
+PROPOSED: dict[str, tuple[Callable[[Columns], Columns], str]] = {
+    "sign": (lambda c: (c[0], -c[1], c[2]), "input sign looks flipped"),
+    "milli": (lambda c: (c[0], 1e3 * c[1], c[2]), "a unit of milli"),
+    "degrees": (lambda c: (c[0], c[1], np.degrees(c[2])), "position looks a factor"),
+    "swapped": (lambda c: (c[0], c[2], c[1]), "columns of input and output look swapped"),
+}
+
+
+@pytest.mark.parametrize("what", list(PROPOSED))
+def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(
+    what: str, call: Call, measured: Callable[..., Any]
+) -> None:
+    change, words = PROPOSED[what]
+    data = [change(measured("gravity", seed)[:3]) for seed in (1, 2)]
+    code, answer, error = call(*data)
+    assert (code, error) == (0, "")
+    assert answer["verdict"] == "not_identifiable"
+    assert (answer["effects"], answer["ties"], answer["rounds"]) == ([], [], [])
+    assert answer["files"] == ["diagnosis.json", "report.html"]
+    [proposal] = answer["proposals"]
+    assert words in proposal
+    assert proposal in answer["statement"][0]
+
+
+def test_records_of_different_rates_are_brought_to_one(call: Call, plain: list[Columns]) -> None:
+    (t, u, y), other = plain
+    code, answer, _ = call((t[::2], u.reshape(-1, 2).mean(axis=1), y[::2]), other)
+    assert code == 0
+    assert answer["excitation"]["sampling_period"]["value"] == pytest.approx(2e-3)
+    [line] = answer["findings"]
+    assert "resampled" in line
+    assert answer["verdict"] == "none"
+
+
+TIGHT = {"parameters": {"J": 0.008, "a2": 0.02, "Fc": 0.12}, "bounds": {"J": [0.007, 0.009], "Fc": [0.0, 0.6]}}
+
+
+def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(call: Call, plain: list[Columns]) -> None:
+    code, answer, error = call(*plain, **TIGHT)
+    assert (code, error) == (0, "")
+    assert (answer["verdict"], answer["effects"]) == ("not_identifiable", [])
+    [proposal] = answer["proposals"]
+    assert re.search(r"J near 0\.0(099\d|10) kg\.m2, outside its bounds \[0\.007, 0\.009\]", proposal)
+    assert answer["files"] == ["diagnosis.json", "report.html"]
+
+
+def test_a_bound_that_the_base_refit_ends_at_is_said(call: Call, measured: Callable[..., Any]) -> None:
+    """What is missing is larger than what the bound costs: it is named, and the bound is said beside it."""
+    code, answer, error = call(*(measured("gravity", seed)[:3] for seed in (1, 2)), **TIGHT)
+    assert (code, error) == (0, "")
+    assert "gravity" in [e["name"] for e in answer["effects"]]
+    assert answer["base"]["J"]["at_bound"]
+    assert any(line.startswith("the base refit of J ends at its bound") for line in answer["findings"])
+    assert "augmented.fmu" in answer["files"]
+
+
+def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
+    measured: Callable[..., Any], model: Model, tmp_path: Path
+) -> None:
+    """The augmented model goes back in: its effect is refitted with the rest, and nothing more is missing."""
+    from bristle.diagnosis import load_model
+    from bristle.diagnosis.export import augment
+
+    records = records_from_arrays(model, [(f"r{seed}", *measured("gravity", seed)[:3]) for seed in (1, 2)])
+    first = diagnose(model, records)
+    assert first.effects[0].name == "gravity"
+    assert first.rounds[0].finer == pytest.approx(first.rounds[0].gain, rel=0.2)
+    augmented = augment(first)
+    assert augmented is not None
+    write_model(augmented.model, tmp_path / "augmented.toml")
+    again = diagnose(load_model(tmp_path / "augmented.toml"), records)
+    assert again.effects == ()
+    assert not any(c.name == "gravity" for r in again.rounds for c in r.candidates)
+    assert again.parameters["gravity.amplitude"].value == pytest.approx(first.effects[0].parameters["amplitude"].value, rel=0.02)
+    assert again.gap.before == pytest.approx(first.gap.after, rel=0.05)
+
+
+def test_a_linear_axis_has_nothing_that_turns(measured: Callable[..., Any], tree: dict[str, Any]) -> None:
+    tree["input"] = {"column": "u", "kind": "force", "unit": "N"}
+    tree["output"] = {"column": "x", "kind": "position", "unit": "m"}
+    model = Model.from_dict(tree)
+    records = records_from_arrays(model, [(f"r{seed}", *measured("hard_stop", seed)[:3]) for seed in (1, 2)])
+    found = diagnose(model, records)
+    assert [e.name for e in found.effects] == ["hard_stop"]
+    assert found.effects[0].parameters["stiffness"].unit == "N/m"
+    refused = {c.name: c.note for r in found.rounds for c in r.candidates if c.note.startswith("needs")}
+    assert refused["gravity"] == refused["eccentric_encoder"] == "needs a shaft that turns: this axis is linear"
+    assert found.undetected["gravity"] == refused["gravity"]
+    assert not any("in a turn" in view.label for view in found.where)
+
+
+LUGRE = {"sigma0": 100.0, "sigma1": 0.5, "Fc": 0.12, "Fs": 0.15, "vs": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("friction", "own", "kind", "output"),
+    [
+        ("lugre", LUGRE, "torque", "position"),
+        ("viscous", {}, "torque", "position"),
+        ("coulomb", {"Fc": 0.12}, "voltage", "velocity"),
+        ("coulomb", {"Fc": 0.12}, "current", "position"),
+    ],
+)
+def test_any_law_input_and_output(
+    friction: str, own: dict[str, float], kind: str, output: str, measured: Callable[..., Any], tree: dict[str, Any]
+) -> None:
+    gain = 1.0 if kind == "torque" else 0.5
+    tree |= {"friction": friction, "parameters": {"J": 0.01, "a2": 0.02} | own | ({} if gain == 1.0 else {"b": gain})}
+    tree["input"] |= {"kind": kind, "unit": {"torque": "N.m", "voltage": "V", "current": "A"}[kind]}
+    tree["output"] |= {"kind": output, "unit": "rad" if output == "position" else "rad/s"}
+    tree.pop("bounds")
+    model = Model.from_dict(tree)
+    data = []
+    for seed in (1,):
+        t, u, y, v = measured("gravity", seed)
+        noise = 2e-3 * np.random.default_rng(seed).standard_normal(len(v))
+        data.append((f"r{seed}", t, u / gain, y if output == "position" else v + noise))
+    found = diagnose(model, records_from_arrays(model, data))
+    assert found.proposals == ()
+    assert found.gap.after < found.gap.before
+    names = [e.name for e in found.effects]
+    if friction == "viscous":  # it lacks more than one thing, the largest of which is gravity
+        assert "gravity" in names
+    elif output == "position":
+        assert names[0] == "gravity"
+        assert found.effects[0].parameters["amplitude"].value == pytest.approx(0.3, rel=0.1)
