@@ -17,7 +17,7 @@ from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
-from bristle.diagnosis.size import fall, squares
+from bristle.diagnosis.size import fall, mean_square, squares
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
@@ -34,6 +34,7 @@ SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller 
 ODDS = 6.0  # nats between two candidates that keep them apart
 PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error so, or so and gains this share of the first one
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
+FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
 MARK = 3.0  # nats: what one segment may say about it
@@ -83,6 +84,12 @@ class Bench:
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
         return estimate(residual, weight, pulses, s.h, self.least)
 
+    def far(self, fit: Fit) -> bool:
+        """True if a model leaves so much of the motion within segments that steps from where it stands may lead nowhere."""
+        s = self.segments
+        ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
+        moved = (s.seen - (s.seen @ ramp) @ ramp.T)[self.train]
+        return mean_square(fit, self.train) > FAR * float(np.mean(np.square(moved)))
 
     def joint(self, stage: Stage) -> Joint:
         """Return where a model and an effect may start together."""
@@ -147,10 +154,11 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     """Try the named effects on top of a fitted servo."""
     fit, lens = stage.fit, lens_of(stage, bench)
     e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
-    joint = bench.joint(stage)
+    far = bench.far(fit)
+    joint = bench.joint(stage) if far else None
 
     def quiet(left: Fit) -> Problem:
-        if not left.weight.any():
+        if not far or not left.weight.any():
             return stage.problem
         return bench.problem(bench.noise(left.residual, left.weight, left.values), stage.problem.judged)
 
@@ -161,7 +169,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
         if barred:
             tried.append(Candidate(name, None, refused=barred))
         else:
-            tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name)))
+            tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name) if joint else ()))
     reached = [c for c in tried if c.fit is not None]
     nothing = Verdict(tuple(tried), Null(np.zeros(1), {}), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     if not reached:
