@@ -25,6 +25,7 @@ from bristle.plant.friction import law as find_law
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+LONG = 40  # steps of the first fit, which may be far from its end
 SETTLE = 3  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
@@ -133,11 +134,20 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
     fit = None
     for _ in range(SETTLE):
         problem = bench.problem(noise, judged)
-        fit = refit(problem, simulator, servo.free, fit.values if fit else values, fit.starts if fit else starts)
+        fit = refit(problem, simulator, servo.free, fit.values if fit else values, fit.starts if fit else starts, LONG)
         noise = bench.noise(fit.residual, fit.weight, fit.values)
     assert fit is not None
     problem = bench.problem(noise, judged)
     return Stage(servo, problem, refit(problem, simulator, servo.free, fit.values, fit.starts))
+
+
+def settle_well(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
+    """Fit a servo and its noise from given values and, if that ends far off, from what balances the torques."""
+    first = settle(bench, servo, values)
+    if not bench.far(first.fit):
+        return first
+    others = [settle(bench, servo, {**values, **found}) for found in bench.joint(first).models]
+    return max((first, *others), key=lambda stage: stage.fit.total)
 
 
 def group(name: str) -> str:

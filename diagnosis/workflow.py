@@ -20,7 +20,7 @@ from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import REACH, Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import Plausibility, check
-from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle
+from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle, settle_well
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import Share, appearances, residual_map, shares
@@ -117,7 +117,7 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     if said.proposals:
         return mend_first(model, records, said, nominal_gap(bench, servo, values), time.perf_counter() - begun)
     tell("base refit", 0.0)
-    found = examine(model, records, bench, settle(bench, servo, values), tell, begun)
+    found = examine(model, records, bench, settle_well(bench, servo, values), tell, begun)
     return replace(found, findings=(*found.findings, *said.findings))
 
 
