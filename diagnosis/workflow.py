@@ -14,16 +14,16 @@ from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
 from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.fit import Fit, Free, evaluate, refit
+from bristle.diagnosis.fit import Fit, Free, evaluate, resume
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import REACH, Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import Plausibility, check
-from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle, settle_well
+from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, search, settle, settle_well, views_of
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.views import Share, appearances, residual_map, shares
+from bristle.diagnosis.views import MEASURED, Share, appearances, residual_map
 from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
@@ -35,7 +35,6 @@ LEFT = 0.15  # share of the squared error that a view must explain before someth
 CERTAIN = 0.01
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
-MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
 EDGE = 0.1  # of the time, at either end, in which no step is looked for
 MAPS = 6  # views whose residual is drawn
 ROTARY = ("gravity", "eccentric_encoder")  # effects that repeat with the turn of a shaft
@@ -296,7 +295,7 @@ def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
 def _whole(bench: Bench, stage: Stage) -> Fit:
     """Return the servo fitted to all segments, those kept from the search included."""
     problem = stage.problem.only(bench.segments.judged)
-    return refit(problem, stage.fit.simulator, stage.servo.free, stage.fit.values, stage.fit.starts)
+    return resume(problem, stage.fit)
 
 
 def covariance(problem_fit: Fit) -> Array:
@@ -336,11 +335,9 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
     stages = (Stage(base.servo, final.problem, plain), final)
     found, torques = [], []
     for stage in stages:
-        lens = lens_of(stage, bench)
-        torque = lens.torque(stage.fit) * (stage.fit.weight > 0)[:, None]
-        rough = torque.reshape(len(torque), bench.segments.bins, -1).mean(axis=2)
-        found.append(shares(lens, bench.motion, bench.segments.h, bench.resolution, rough))
-        torques.append(torque.ravel())
+        seen, torque = views_of(stage, bench)
+        found.append(seen)
+        torques.append(torque)
     before, after = found
     table = {share.view: share for share in after}
     views: list[answer.View] = []
