@@ -263,6 +263,11 @@ class Joint:
             found = balance.fit(self._servo.law, effects, free, found.values)
         return balance, found
 
+    @property
+    def models(self) -> list[dict[str, float]]:
+        """Parameters with which the model alone balances the torques."""
+        return [found.values for _, found in self._looks]
+
     def starts(self, name: str) -> list[Start]:
         """Return the parameters with which an effect explains most; nothing where a balance does not show it."""
         law, effects = self._servo.law, (*self._servo.effects, name)

@@ -17,8 +17,10 @@ Mask = NDArray[np.bool_]
 FREEDOM = 10.0  # of the t distribution: a segment twice as bad as the others counts half as much
 ENOUGH = 0.05  # nats: the search ends when the next step promises less
 ITERATIONS = 15
+PATIENCE = 3  # steps in a row that gain nothing
+WILD = 1e12  # derivatives beyond this, or none, are those of a simulation that failed
+FAILED = 1e6  # squared misfit of a segment whose simulation failed
 DAMPING = 1e-3
-WILD = 1e6  # a segment that magnifies its start state so much tells nothing
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ class Fit:
         Start states.
     score : ndarray, shape (segments,)
         Log-likelihood of each segment [nats], start states eliminated; 0 for segments that are not judged.
+    here : ndarray, shape (segments,)
+        The same with the start states as they are.
     residual : ndarray, shape (segments, bins)
         Measured less simulated averages at the fitted start states.
     white, by_parameter, by_start : ndarray
@@ -79,6 +83,7 @@ class Fit:
     free: tuple[Free, ...]
     starts: Array
     score: Array
+    here: Array
     residual: Array
     white: Array
     by_parameter: Array
@@ -117,8 +122,7 @@ def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], val
     """Simulate and return where it stands, without moving anything."""
     seen, sens, good = simulator.run(values, starts, jacobian=True)
     assert sens is not None
-    good = good & np.isfinite(seen).all(axis=1) & np.isfinite(sens).all(axis=(1, 2))
-    good &= np.abs(sens[:, :, -2:]).max(axis=(1, 2), initial=0.0) < WILD
+    good = good & np.isfinite(seen).all(axis=1) & (np.abs(sens).max(axis=(1, 2)) < WILD)
     residual = np.where(good[:, None], problem.seen - seen, 0.0)
     sens = np.where(good[:, None, None], sens, 0.0)
     index = [simulator.names.index(f.name) for f in free]
@@ -155,17 +159,20 @@ def _scored(
     normal = np.einsum("sni,snj->sij", by_start, by_start)
     normal[:, [0, 1], [0, 1]] += precision
     move = np.linalg.solve(normal, pull[:, :, None])[:, :, 0]
-    misfit = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1) - np.einsum("si,si->s", pull, move)
-    misfit = np.where(good, np.maximum(misfit, 0.0), 1e6)
+    whole = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
+    misfit = np.where(good, np.maximum(whole - np.einsum("si,si->s", pull, move), 0.0), FAILED)
     n = white.shape[1] - 2
-    score = -0.5 * (FREEDOM + n) * np.log1p(misfit / FREEDOM) - 0.5 * problem.noise.log_det
+    score, here = (
+        np.where(problem.judged, -0.5 * (FREEDOM + n) * np.log1p(each / FREEDOM) - 0.5 * problem.noise.log_det, 0.0)
+        for each in (misfit, np.where(good, whole, FAILED))
+    )
     weight = np.where(problem.judged & good, (FREEDOM + n) / (FREEDOM + misfit), 0.0)
     cross = np.einsum("sni,snp->sip", by_start, by_parameter)
     answer = np.linalg.solve(normal, cross)
     information = np.einsum("s,snp,snq->pq", weight, by_parameter, by_parameter) - np.einsum("s,sip,siq->pq", weight, cross, answer)
     prior, curve = _knowledge(free, values)
     return Fit(
-        values, free, starts, np.where(problem.judged, score, 0.0), residual, white, by_parameter, by_start, raw_by_start, weight,
+        values, free, starts, score, here, residual, white, by_parameter, by_start, raw_by_start, weight,
         information + np.diag(curve), simulator, good, problem.noise, prior,
     )  # fmt: skip
 
@@ -238,22 +245,25 @@ def refit(
     """Maximise the likelihood of the judged segments from the given values and start states.
 
     Levenberg-Marquardt with the exact derivatives of the simulated steps; each segment has a t distribution, so that a
-    few segments that the model cannot follow do not decide.
+    few segments that the model cannot follow do not decide. A segment that gets worse moves its start state less next time:
+    where a servo sticks and slips, a start state cannot be improved by its derivatives alone.
 
     Source: lange1989 (robust regression by the t distribution), golub2003 (elimination of start states).
     """
     begin = {**values, **{f.name: f.inside(values[f.name]) for f in free}}
     fit, damping = first or evaluate(problem, simulator, free, begin, starts), problem.damping
+    trust, limit, failed = np.ones(len(starts)), 4 * problem.spread, 0
     for _ in range(iterations):
         step, back, promise = _direction(problem, fit, damping)
-        limit = 4 * problem.spread
-        around = np.clip(fit.starts + back, problem.starts - limit, problem.starts + limit)
+        around = np.clip(fit.starts + trust[:, None] * back, problem.starts - limit, problem.starts + limit)
         trial = evaluate(problem, simulator, free, _moved(fit, step), around)
-        gain = trial.total - fit.total
+        gain = float((trial.here - fit.here).sum()) + trial.prior - fit.prior
+        trust = np.where(trial.here < fit.here, 0.25 * trust, np.minimum(2 * trust, 1.0))
+        open_ = fit.total - fit.prior - float(fit.here.sum())  # what the start states promise beside
         if gain > 0:
-            fit, damping = trial, damping / 5
+            fit, damping, failed = trial, damping / 5, 0
         else:
-            damping = max(damping, 1e-4) * 8
-        if promise < ENOUGH or 0 <= gain < ENOUGH or damping > 1e4:
+            damping, failed = max(damping, 1e-4) * 8, failed + 1
+        if promise + min(open_, ENOUGH) < ENOUGH or 0 <= gain < ENOUGH or failed > PATIENCE:
             break
     return fit

@@ -23,7 +23,7 @@ from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import check
-from bristle.diagnosis.search import Bench, settle
+from bristle.diagnosis.search import Bench, settle_well
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.workflow import Tell, base_of, bench_of, examine, mend_first, nominal_gap
@@ -100,7 +100,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     lines.append(_closeness(fmu, model, twin))
     like = replace(model, parameters={name: float(twin.values[name]) for name in model.parameters})
     free = replace(like, bounds=_bounds(model, twin))
-    base = settle(twin.bench, *base_of(free, twin.bench))
+    base = settle_well(twin.bench, *base_of(free, twin.bench))
     left = mean_square(base.fit, twin.bench.held)
     kept = replace(like, bounds=_around(model, like))
     if twin.error > TRUST * math.sqrt(left):

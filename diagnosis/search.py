@@ -17,7 +17,7 @@ from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
-from bristle.diagnosis.size import fall, squares
+from bristle.diagnosis.size import fall, mean_square, squares
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
@@ -25,6 +25,7 @@ from bristle.plant.friction import law as find_law
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+LONG = 40  # steps of the first fit, which may be far from its end
 SETTLE = 3  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
@@ -34,6 +35,7 @@ SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller 
 ODDS = 6.0  # nats between two candidates that keep them apart
 PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error so, or so and gains this share of the first one
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
+FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
 MARK = 3.0  # nats: what one segment may say about it
@@ -83,6 +85,12 @@ class Bench:
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
         return estimate(residual, weight, pulses, s.h, self.least)
 
+    def far(self, fit: Fit) -> bool:
+        """True if a model leaves so much of the motion within segments that steps from where it stands may lead nowhere."""
+        s = self.segments
+        ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
+        moved = (s.seen - (s.seen @ ramp) @ ramp.T)[self.train]
+        return mean_square(fit, self.train) > FAR * float(np.mean(np.square(moved)))
 
     def joint(self, stage: Stage) -> Joint:
         """Return where a model and an effect may start together."""
@@ -126,11 +134,20 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
     fit = None
     for _ in range(SETTLE):
         problem = bench.problem(noise, judged)
-        fit = refit(problem, simulator, servo.free, fit.values if fit else values, fit.starts if fit else starts)
+        fit = refit(problem, simulator, servo.free, fit.values if fit else values, fit.starts if fit else starts, LONG)
         noise = bench.noise(fit.residual, fit.weight, fit.values)
     assert fit is not None
     problem = bench.problem(noise, judged)
     return Stage(servo, problem, refit(problem, simulator, servo.free, fit.values, fit.starts))
+
+
+def settle_well(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
+    """Fit a servo and its noise from given values and, if that ends far off, from what balances the torques."""
+    first = settle(bench, servo, values)
+    if not bench.far(first.fit):
+        return first
+    others = [settle(bench, servo, {**values, **found}) for found in bench.joint(first).models]
+    return max((first, *others), key=lambda stage: stage.fit.total)
 
 
 def group(name: str) -> str:
@@ -147,10 +164,11 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     """Try the named effects on top of a fitted servo."""
     fit, lens = stage.fit, lens_of(stage, bench)
     e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
-    joint = bench.joint(stage)
+    far = bench.far(fit)
+    joint = bench.joint(stage) if far else None
 
     def quiet(left: Fit) -> Problem:
-        if not left.weight.any():
+        if not far or not left.weight.any():
             return stage.problem
         return bench.problem(bench.noise(left.residual, left.weight, left.values), stage.problem.judged)
 
@@ -161,7 +179,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
         if barred:
             tried.append(Candidate(name, None, refused=barred))
         else:
-            tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name)))
+            tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name) if joint else ()))
     reached = [c for c in tried if c.fit is not None]
     nothing = Verdict(tuple(tried), Null(np.zeros(1), {}), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     if not reached:
@@ -286,6 +304,29 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     return Stage(servo, problem, refit(problem, best.fit.simulator, servo.free, best.fit.values, best.fit.starts))
 
 
+def pruned(stage: Stage, bench: Bench, base: Stage) -> tuple[Stage, list[str]]:
+    """Return the servo without the effects that the last one has made needless, and the names of these."""
+    added = [name for name in stage.servo.effects if name not in base.servo.effects]
+    spared = []
+    for name in added[:-1]:
+        less = _without(stage, bench, base, name)
+        if fall(squares(less.fit, bench.train), squares(stage.fit, bench.train)) < MORE:
+            stage = less
+            spared.append(name)
+    return stage, spared
+
+
+def _without(stage: Stage, bench: Bench, base: Stage, name: str) -> Stage:
+    effects = tuple(each for each in stage.servo.effects if each != name)
+    rigid = base.servo.rigid and not set(effects) & set(ELASTIC)
+    own = [f for f in base.servo.free if rigid or not f.name.startswith(f"{RIGID}.")]
+    more = [f for f in stage.servo.free if f.name.split(".")[0] in effects and f.name not in {g.name for g in own}]
+    servo = replace(stage.servo, effects=effects, free=(*own, *more), rigid=rigid)
+    values = {**base.fit.values, **stage.fit.values} | {f.name: base.fit.values[f.name] for f in own if rigid and RIGID in f.name}
+    problem = stage.problem
+    return Stage(servo, problem, refit(problem, servo.simulator(bench.segments), servo.free, values, stage.fit.starts))
+
+
 def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tuple[Stage, list[Verdict]]:
     """Add effects one after the other as long as one is found that is certain and large enough."""
     stage, rounds = base, []
@@ -316,6 +357,10 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
+        stage, spared = pruned(stage, bench, base)
+        if spared:
+            text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
+            rounds[-1] = replace(rounds[-1], decision=text)
         if len(taken) - len(base.servo.effects) >= MOST or bench.narrow:
             break
     return stage, rounds

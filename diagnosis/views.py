@@ -22,6 +22,7 @@ RIDGE = 1e-3  # of a view's own power
 KNOTS = 9
 TONES = (0.2, 45.0)  # Hz
 PERIODS = 60  # in a turn
+POINTS = 5000  # of the path, for them
 FAR = 5.0  # times the usual squared error, whitened
 STRETCHES = "some stretches"
 STOPS = 5  # widths of elastic elements that make up a hysteresis
@@ -57,15 +58,19 @@ def hats(x: Array, knots: int = KNOTS) -> Array:
 def stops(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
     """Return elastic elements (n, widths) that slide beyond a deflection, scaled to -1..1.
 
+    Some thousand points of the path say enough; between them the elements stand still.
+
     Source: albender2005 (hysteresis as parallel elasto-slide elements).
     """
-    step = np.diff(theta, prepend=theta[0])
-    step[np.flatnonzero(np.diff(record, prepend=record[0]))] = 0.0
-    z, out = np.zeros(len(widths)), np.empty((len(theta), len(widths)))
+    skip = max(1, len(theta) // POINTS)
+    some = theta[::skip]
+    step = np.diff(some, prepend=some[0])
+    step[np.flatnonzero(np.diff(record[::skip], prepend=record[0]))] = 0.0
+    z, out = np.zeros(len(widths)), np.empty((len(some), len(widths)))
     for k, move in enumerate(step.tolist()):
         z = np.clip(z + move, -widths, widths)
         out[k] = z
-    return out / widths
+    return np.repeat(out / widths, skip, axis=0)[: len(theta)]
 
 
 def _waves(angle: Array, count: int) -> Array:
@@ -123,7 +128,7 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
 
 
 def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dict[str, Array] | None = None) -> list[Share]:
-    """Return the views with their shares, the strongest first.
+    """Return the views with their shares, the strongest first; stretches that stand out come last.
 
     A view's function is fitted on four fifths of the segments, and its p is how often the strongest of all views
     predicts the rest as well when segments get random signs. Its share is the power it has in the output.
@@ -144,8 +149,7 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     result = [
         Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view], labels.get(view, "")) for view, (_, power) in found.items()
     ]
-    result.append(_outbreaks(lens, m, live))
-    return sorted(result, key=lambda each: -each.share)
+    return [*sorted(result, key=lambda each: -each.share), _outbreaks(lens, m, live)]
 
 
 def _outbreaks(lens: Lens, m: Motion, live: NDArray[np.int_]) -> Share:

@@ -20,7 +20,7 @@ from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import REACH, Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import Plausibility, check
-from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle
+from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle, settle_well
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import Share, appearances, residual_map, shares
@@ -117,7 +117,7 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     if said.proposals:
         return mend_first(model, records, said, nominal_gap(bench, servo, values), time.perf_counter() - begun)
     tell("base refit", 0.0)
-    found = examine(model, records, bench, settle(bench, servo, values), tell, begun)
+    found = examine(model, records, bench, settle_well(bench, servo, values), tell, begun)
     return replace(found, findings=(*found.findings, *said.findings))
 
 
@@ -232,12 +232,13 @@ def _conclude(
     gap = _gap(model, bench, base, final)
     remains = _remains(after, named, gap)
     intervals = estimates(model, whole)
+    of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
         answer.Named(
             name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
             v.gain, v.null.p(name, v.gain),
         )
-        for name, v in zip(named, rounds, strict=False)
+        for name, v in ((name, of[name]) for name in named)
     )  # fmt: skip
     own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
     choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in _open(last) and c.fit} if not named else {}
@@ -333,12 +334,15 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
     """Return the views before and after, both as the final noise sees them, with maps; and the shares after."""
     plain = evaluate(final.problem, base.fit.simulator, base.fit.free, base.fit.values, base.fit.starts)
     stages = (Stage(base.servo, final.problem, plain), final)
+    factor = 2 * math.pi / bench.turn
+    around = replace(bench.motion, theta=factor * bench.motion.theta)
     found, torques = [], []
     for stage in stages:
         lens = lens_of(stage, bench)
         torque = lens.torque(stage.fit) * (stage.fit.weight > 0)[:, None]
         rough = torque.reshape(len(torque), bench.segments.bins, -1).mean(axis=2)
-        found.append(shares(lens, bench.motion, bench.segments.h, bench.resolution, rough))
+        seen = shares(lens, around, bench.segments.h, factor * bench.resolution, rough)
+        found.append([_along_axis(bench, share) for share in seen])
         torques.append(torque.ravel())
     before, after = found
     table = {share.view: share for share in after}
@@ -348,6 +352,11 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
         drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if len(views) < MAPS else {}
         views.append(answer.View(share.view, share.share, share.p, late.share, late.p, share.label, **drawn))
     return tuple(views), after
+
+
+def _along_axis(bench: Bench, share: Share) -> Share:
+    """Return a share with its label as it is on a linear axis, where the range that was travelled stands for the turn."""
+    return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if bench.barred else share
 
 
 def _remains(after: list[Share], named: Sequence[str], gap: answer.Gap) -> answer.Remains:

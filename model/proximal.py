@@ -156,7 +156,8 @@ def _bend(row: _Row, z: SX) -> tuple[SX, SX, SX, list[Unknown]]:
     on, bent = _path(row, side, z, v, row.pull, SX(1), level)
     dv = (side * on.symbol / row.h - v) / row.weight
     keeps = v * (v + dv) > 0
-    share = ca.if_else(v == 0, 0, ca.fmin(-v / ca.if_else(ca.logic_or(keeps, v == 0), -1, dv), 1 - 1e-9))
+    # a reversal in the last instant of the step is taken a little earlier: nothing is to be divided by what is left of it
+    share = ca.if_else(v == 0, 0, ca.fmin(-v / ca.if_else(ca.logic_or(keeps, v == 0), -1, dv), 1 - 1e-4))
     before = ca.fabs(v) * share * row.h / 2
     length = level * dry.inertia / dry.stiffness
     middle = side * length - (side * length - z) * ca.exp(-before / length)

@@ -159,3 +159,23 @@ def test_start_states_are_as_uncertain_as_the_sensor_is_coarse():
     z = (piece.starts - true[:: WIDTH * BINS][: len(piece.starts)]) / piece.spread
     assert np.all(np.abs(z) < 3)
     assert np.all(np.sqrt(np.mean(z[1:] ** 2, axis=0)) > 0.01)
+
+
+def test_no_reversal_amplifies_a_start():
+    """Dry friction takes energy: what a start velocity moves by the end of a segment is at most time times velocity.
+
+    A servo that creeps to rest reverses in the last instants of steps, and what is left of a step is divided by.
+    """
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.normal(0.0, 0.12, 100), 200)
+    native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
+    y = native.run(H, {"u": u}, ["theta"])[0][:-1, 0]
+    rough = Segments((cut("run", 0.0, H, u, y, False, 4e-4, WIDTH, BINS),), H, WIDTH, BINS, False)
+    work = simulator(rough, (), True)
+    for damping in np.geomspace(0.01, 10.0, 60):
+        bent = {f"{RIGID}.stiffness": 5000.0, f"{RIGID}.damping": damping}
+        _, exact, good = work.run(VALUES | bent, rough.starts, jacobian=True)
+        assert exact is not None
+        assert good.all()
+        assert np.abs(exact[:, :, -1]).max() <= 1.01 * H * WIDTH * BINS
+        assert np.abs(exact[:, :, -2]).max() <= 1.5
