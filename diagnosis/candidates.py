@@ -153,11 +153,11 @@ def explore(
         first = evaluate(problem, simulator, (*own, *free), values, fit.starts)
         banks.append(_bank(lens, fit, first, len(free)))
         trials.append(_worth(first, quiet))
-    for given, start in joint:
-        free = freedom(name, start, servo.limits)
-        alone = {key: value for key, value in given.items() if key.startswith(f"{name}.")}
+    for together, moving in joint:
+        free = freedom(name, moving, servo.limits)
+        alone = {key: value for key, value in together.items() if key.startswith(f"{name}.")}
         # with the parameters of the balance, and with those of the simulated model: either may be the better neighbourhood
-        for others, begin in ((given, problem.starts), (alone, fit.starts)):
+        for others, begin in ((dict(together), problem.starts), (alone, fit.starts)):
             whole = {**defaults, **fit.values, **others}
             inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
             trials.append(_worth(evaluate(problem, simulator, (*own, *free), whole | inside, begin), quiet))

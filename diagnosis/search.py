@@ -331,7 +331,9 @@ def views_of(stage: Stage, bench: Bench) -> tuple[list[Share], Array]:
     lens = lens_of(stage, bench)
     torque = lens.torque(stage.fit) * (stage.fit.weight > 0)[:, None]
     rough = torque.reshape(len(torque), bench.segments.bins, -1).mean(axis=2)
-    return shares(lens, bench.motion, bench.segments.h, bench.resolution, rough), torque.ravel()
+    factor = 2 * math.pi / bench.turn  # what repeats, repeats along what a motion begins anew after
+    around = replace(bench.motion, theta=factor * bench.motion.theta)
+    return shares(lens, around, bench.segments.h, factor * bench.resolution, rough), torque.ravel()
 
 
 def suspicious(stage: Stage, bench: Bench, verdict: Verdict, taken: set[str]) -> bool:

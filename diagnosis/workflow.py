@@ -336,7 +336,7 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
     found, torques = [], []
     for stage in stages:
         seen, torque = views_of(stage, bench)
-        found.append(seen)
+        found.append([_along_axis(bench, share) for share in seen])
         torques.append(torque)
     before, after = found
     table = {share.view: share for share in after}
@@ -346,6 +346,11 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
         drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if len(views) < MAPS else {}
         views.append(answer.View(share.view, share.share, share.p, late.share, late.p, share.label, **drawn))
     return tuple(views), after
+
+
+def _along_axis(bench: Bench, share: Share) -> Share:
+    """Return a share with its label as it is on a linear axis, where the range that was travelled stands for the turn."""
+    return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if bench.barred else share
 
 
 def _remains(after: list[Share], named: Sequence[str], gap: answer.Gap) -> answer.Remains:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import records as measured
 from records import Array, Entry
+from scipy.optimize import least_squares
 
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
 from bristle.diagnosis.plausibility import check
@@ -82,13 +83,17 @@ def emps(tell: Callable[[str], None]) -> Iterator[Run]:
     records = taken(model, [entry])
     tell("emps")
     found = diagnose(model, records)
-    runs = {"before": whole_run(model, {}, values(found.base), records[0])}
-    effects = {e.name: values(e.parameters) for e in found.effects}
-    runs["after"] = whole_run(model, effects, values(found.parameters), records[0])
-    y = records[0].y
-    rmse = {name: float(np.sqrt(np.mean((run - y) ** 2))) for name, run in runs.items()}
-    drift = " and ".join(f"{1e3 * error:.2f} mm {name}" for name, error in rmse.items())
-    numbers = {"open-loop position over the whole record, rms error": drift}
+    before = values(found.base)
+    after = values(found.parameters) | {f"{e.name}.{p}": x.value for e in found.effects for p, x in e.parameters.items()}
+    names = tuple(e.name for e in found.effects)
+    y, runs, numbers = records[0].y, {}, {}
+    for what, tune in (("as fitted to segments", False), ("fitted to this run", True)):
+        for when, effects, start in (("before", (), before), ("after", names, after)):
+            own = tuned(model, effects, start, records[0]) if tune else start
+            runs[when] = whole_run(model, effects, own, records[0])
+        rmse = {when: float(np.sqrt(np.mean((run - y) ** 2))) for when, run in runs.items()}
+        drift = " and ".join(f"{1e3 * error:.2f} mm {when}" for when, error in rmse.items())
+        numbers[f"open-loop position over the whole record, rms error, {what}"] = drift
     wanted = (frozenset({"bias"}), frozenset({"asymmetric_coulomb"}))
     data = {"time": records[0].time, "measured": y, **runs, "rmse": rmse}
     yield Run("EMPS", "viscous and symmetric Coulomb friction given", wanted, tuple(records), found, numbers, data)
@@ -99,13 +104,25 @@ def values(estimates: dict[str, Any]) -> dict[str, float]:
     return {name: e.value for name, e in estimates.items()}
 
 
-def whole_run(model: Model, effects: dict[str, dict[str, float]], own: dict[str, float], record: Record) -> Array:
+def tuned(model: Model, effects: tuple[str, ...], start: dict[str, float], record: Record) -> dict[str, float]:
+    """Return the parameters with which the whole run is closest to the record."""
+    names = list(start)
+    scale = np.array([start[name] for name in names])
+
+    def error(x: Array) -> Array:
+        found = whole_run(model, effects, dict(zip(names, (x * scale).tolist(), strict=True)), record)
+        return np.asarray((found - record.y)[::10] / np.std(record.y))
+
+    best = least_squares(error, np.ones(len(names)), bounds=(0.2, 5.0), x_scale=0.05, diff_step=1e-4)
+    return dict(zip(names, (best.x * scale).tolist(), strict=True))
+
+
+def whole_run(model: Model, effects: tuple[str, ...], own: dict[str, float], record: Record) -> Array:
     """Return the positions of a servo that follows the input of a whole record, in open loop from its first state."""
-    program = servo_program(model.friction, encoder=False, effects=tuple(effects))
+    program = servo_program(model.friction, encoder=False, effects=effects)
     first = record.y[: max(20, round(0.02 / record.h))]
     speed = float(np.polyfit(record.h * np.arange(len(first)), first, 2)[1])
-    settings = model.settings(own | {f"{e}.{p}": x for e, given in effects.items() for p, x in given.items()})
-    native = Native(program, settings | {"theta_start": float(record.y[0]), "v_start": speed})
+    native = Native(program, model.settings(own) | {"theta_start": float(record.y[0]), "v_start": speed})
     out, _ = native.run(record.h, {"u": record.u}, ["theta"])
     return np.asarray(out[:-1, 0])
 
@@ -181,9 +198,10 @@ def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
         found = diagnose(model, records)
         ripple = float(np.sqrt(np.mean([_ripple(t, y) ** 2 for _, t, _, y, _ in entries])))
         numbers = {"ripple of the position, rms": f"{1e3 * ripple / (2 * math.pi):.2f}e-3 turns"}
-        if compensated:
-            numbers["cogging"] = found.undetected.get("cogging", "named")
-        wanted = (frozenset(),) if compensated else (frozenset({"cogging"}),)
+        periods, amplitude, share = _strongest(records, model.parameters["b"])
+        seen = f"{1e3 * amplitude:.2f}e-3 N·m, {periods} in a turn, {share:.0%} of its variance"
+        numbers["strongest wave of the motor's torque along the position"] = seen
+        wanted = (frozenset({"cogging"}),)
         data = {"compensated": compensated, "gain": model.parameters["b"]}
         yield Run(f"ODrive, compensation {word}", "cogging hidden", wanted, tuple(records), found, numbers, data)
 
@@ -193,6 +211,19 @@ def _ripple(t: Array, y: Array) -> float:
     inside = slice(200, -200)
     x = t[inside] - t[inside].mean()
     return float(np.std(y[inside] - np.polyval(np.polyfit(x, y[inside], 3), x)))
+
+
+def _strongest(records: Sequence[Record], gain: float) -> tuple[int, float, float]:
+    """Return the wave of the torque along the position that explains most: periods in a turn, amplitude, share."""
+    theta, torque = (np.concatenate(x) for x in zip(*(torque_along(r, gain) for r in records), strict=True))
+    torque = torque - torque.mean()
+    best = (0, 0.0, 0.0)
+    for n in range(1, 61):
+        waves = np.column_stack([np.sin(n * theta), np.cos(n * theta)])
+        c, *_ = np.linalg.lstsq(waves, torque, rcond=None)
+        share = 1 - float(np.var(torque - waves @ c) / np.var(torque))
+        best = max(best, (n, float(np.hypot(*c)), share), key=lambda each: each[2])
+    return best
 
 
 def torque_along(record: Record, gain: float) -> tuple[Array, Array]:

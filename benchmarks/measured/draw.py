@@ -12,6 +12,7 @@ from cases import Run, torque_along
 from matplotlib import rc_context
 
 from bristle.diagnosis.figures import telling
+from bristle.diagnosis.segments import SEGMENT
 from bristle.model.drawing import BLUE, DEGREES, GREY, INK, ORANGE, PALE, STYLE, new_figure, set_title, thin
 
 DPI = 130
@@ -60,10 +61,12 @@ def _overlay(ax: Any, run: Run) -> None:
     assert found is not None
     trace, part = found
     time = trace.time[part]
+    first = np.arange(len(trace.time)) % round(SEGMENT / float(np.median(np.diff(trace.time)))) == 0
+    before, after = (np.where(first, np.nan, y)[part] for y in (trace.before, trace.after))  # no line from one to the next
     ax.plot(time, DEGREES * trace.measured[part], color=INK, linewidth=3.0, alpha=0.28, label="measured")
-    ax.plot(time, DEGREES * trace.before[part], color=ORANGE, label="refitted model")
-    after = f"with {', '.join(e.name for e in run.found.effects) or 'nothing'}"
-    ax.plot(time, DEGREES * trace.after[part], color=BLUE, linestyle=(0, (3, 2)), label=after)
+    ax.plot(time, DEGREES * before, color=ORANGE, label="refitted model")
+    label = f"with {', '.join(e.name for e in run.found.effects) or 'nothing'}"
+    ax.plot(time, DEGREES * after, color=BLUE, linestyle=(0, (3, 2)), label=label)
     ax.margins(y=0.25)
     ax.legend(loc="upper left", ncols=3)
     set_title(ax, f"{trace.name}, where it was worst; each segment of 0.4 s starts anew")
@@ -124,7 +127,7 @@ def odrive(runs: Sequence[Run]) -> Any:
         for record in run.records:
             theta, torque = torque_along(record, run.data["gain"])
             i = thin(len(theta), 1500)
-            label = "motor, three records" if record is run.records[0] else None
+            label = f"motor, {len(run.records)} records" if record is run.records[0] else None
             ax.plot(DEGREES * theta[i], 1e3 * torque[i], color=ORANGE, linewidth=0.9, alpha=0.8, label=label)
             middle.append(float(np.mean(torque)))
         for e in run.found.effects:
@@ -138,7 +141,7 @@ def odrive(runs: Sequence[Run]) -> Any:
                 ax.plot(DEGREES * theta, 1e3 * (np.mean(middle) - cogging), color=BLUE, label=label)
         ax.margins(y=0.18)
         ax.legend(loc="upper left", ncols=2, fontsize=8)
-        set_title(ax, f"compensation {'on' if run.data['compensated'] else 'off'}: {run.said}")
+        set_title(ax, f"compensation {'on' if run.data['compensated'] else 'off'}; said: {run.said}")
         ax.set_xlabel("position, deg")
     axes[0].set_ylabel("torque, 10⁻³ N·m")
     return figure
