@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.fit import ITERATIONS, Fit, Free, Problem, evaluate, promise, refit, rescored
+from bristle.diagnosis.fit import ITERATIONS, ROUGH, Fit, Free, Problem, evaluate, promise, rescored, resume
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.null import directions
 from bristle.diagnosis.segments import Segments, Simulator
@@ -185,17 +185,13 @@ def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:
 
 
 def _refitted(fit: Fit, quiet: Callable[[Fit], Problem], iterations: int) -> Fit:
-    problem = quiet(fit)
-    done = refit(problem, fit.simulator, fit.free, fit.values, fit.starts, iterations, rescored(problem, fit))
+    done = resume(quiet(fit), fit, iterations, ROUGH)
     return rescored(quiet(done), done)
 
 
 def follow(problem: Problem, candidate: Candidate) -> Candidate:
     """Refit a candidate from where it stands, under whatever noise and judged segments the problem has."""
-    old = candidate.fit
-    if old is None:
-        return candidate
-    return replace(candidate, fit=refit(problem, old.simulator, old.free, old.values, old.starts))
+    return candidate if candidate.fit is None else replace(candidate, fit=resume(problem, candidate.fit, enough=ROUGH))
 
 
 def idle(name: str) -> dict[str, float]:

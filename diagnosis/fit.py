@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FREEDOM = 10.0  # of the t distribution: a segment twice as bad as the others counts half as much
-ENOUGH = 0.05  # nats: the search ends when the next step promises less
+ENOUGH = 0.05  # nats: a fit ends when the next step promises less
+ROUGH = 0.5  # the same where candidates are compared only
 ITERATIONS = 15
 PATIENCE = 3  # steps in a row that gain nothing
 WILD = 1e12  # derivatives beyond this, or none, are those of a simulation that failed
@@ -156,7 +157,8 @@ def _scored(
     white = residual @ problem.noise.whiten.T
     precision, offset = problem.spread**-2, problem.starts - starts
     pull = np.einsum("sni,sn->si", by_start, white) + precision * offset
-    normal = np.einsum("sni,snj->sij", by_start, by_start)
+    turned = by_start.transpose(0, 2, 1)
+    normal = np.matmul(turned, by_start)
     normal[:, [0, 1], [0, 1]] += precision
     move = np.linalg.solve(normal, pull[:, :, None])[:, :, 0]
     whole = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
@@ -167,9 +169,9 @@ def _scored(
         for each in (misfit, np.where(good, whole, FAILED))
     )
     weight = np.where(problem.judged & good, (FREEDOM + n) / (FREEDOM + misfit), 0.0)
-    cross = np.einsum("sni,snp->sip", by_start, by_parameter)
-    answer = np.linalg.solve(normal, cross)
-    information = np.einsum("s,snp,snq->pq", weight, by_parameter, by_parameter) - np.einsum("s,sip,siq->pq", weight, cross, answer)
+    cross = np.matmul(turned, by_parameter)
+    own = np.matmul(by_parameter.transpose(0, 2, 1), by_parameter)
+    information = np.tensordot(weight, own - np.matmul(cross.transpose(0, 2, 1), np.linalg.solve(normal, cross)), 1)
     prior, curve = _knowledge(free, values)
     return Fit(
         values, free, starts, score, here, residual, white, by_parameter, by_start, raw_by_start, weight,
@@ -241,6 +243,7 @@ def refit(
     starts: Array,
     iterations: int = ITERATIONS,
     first: Fit | None = None,
+    enough: float = ENOUGH,
 ) -> Fit:
     """Maximise the likelihood of the judged segments from the given values and start states.
 
@@ -264,6 +267,11 @@ def refit(
             fit, damping, failed = trial, damping / 5, 0
         else:
             damping, failed = max(damping, 1e-4) * 8, failed + 1
-        if promise + min(open_, ENOUGH) < ENOUGH or 0 <= gain < ENOUGH or failed > PATIENCE:
+        if promise + min(open_, enough) < enough or 0 <= gain < enough or failed > PATIENCE:
             break
     return fit
+
+
+def resume(problem: Problem, fit: Fit, iterations: int = ITERATIONS, enough: float = ENOUGH) -> Fit:
+    """Refit from where a fit stands, under whatever noise and judged segments the problem has."""
+    return refit(problem, fit.simulator, fit.free, fit.values, fit.starts, iterations, rescored(problem, fit), enough)

@@ -72,8 +72,8 @@ class Lens:
 
     def freed(self, columns: Array) -> Array:
         """Return whitened columns (segments, bins, k) less what other start states could do."""
-        cross = np.einsum("sni,snp->sip", self._by_start, columns)
-        return np.asarray(columns - np.einsum("sni,sij,sjp->snp", self._by_start, self._gain, cross))
+        cross = np.matmul(self._by_start.transpose(0, 2, 1), columns)
+        return np.asarray(columns - np.matmul(self._by_start, np.matmul(self._gain, cross)))
 
     def plain(self, columns: Array, which: NDArray[np.int_]) -> Array:
         """Return whitened columns (segments, bins, k) of some segments as averages [output], start states at their best."""
@@ -86,7 +86,7 @@ class Lens:
         While the servo is at rest, friction takes the torque: it does nothing.
         """
         held = (torques * self._moving[:, None]).reshape(*self.shape, -1)
-        return self.freed(np.einsum("nl,slk->snk", self._seen, held, optimize=True))
+        return self.freed(np.matmul(self._seen, held))
 
     def free_of_model(self, columns: Array) -> Array:
         """Return columns (segments, bins, k) less what the model's own parameters could do."""

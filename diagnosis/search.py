@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.balance import Balance, Joint
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow, pursue
-from bristle.diagnosis.fit import Fit, Free, Problem, evaluate, refit, rescored
+from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, evaluate, refit, rescored, resume
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
 from bristle.diagnosis.size import fall, mean_square, squares
+from bristle.diagnosis.views import MEASURED, Share, shares
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
@@ -26,8 +27,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LONG = 40  # steps of the first fit, which may be far from its end
-SETTLE = 3  # times that noise and parameters are estimated in turn
+SETTLE = 2  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
+HINT = 0.05  # p of a view that calls for another round
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
 WIDE, NARROW = 9, 6  # candidates that go on after their starts, and after one step
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
@@ -131,14 +133,11 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
     seen, _, good = simulator.run(values, starts)
     residual = np.where(good[:, None], bench.segments.seen - seen, 0.0)
     noise = bench.noise(residual, (judged & good).astype(float), values)
-    fit = None
+    fit = refit(bench.problem(noise, judged), simulator, servo.free, values, starts, LONG, enough=ROUGH)
     for _ in range(SETTLE):
-        problem = bench.problem(noise, judged)
-        fit = refit(problem, simulator, servo.free, fit.values if fit else values, fit.starts if fit else starts, LONG)
-        noise = bench.noise(fit.residual, fit.weight, fit.values)
-    assert fit is not None
-    problem = bench.problem(noise, judged)
-    return Stage(servo, problem, refit(problem, simulator, servo.free, fit.values, fit.starts))
+        fit = resume(bench.problem(bench.noise(fit.residual, fit.weight, fit.values), judged), fit, enough=ROUGH)
+    problem = bench.problem(bench.noise(fit.residual, fit.weight, fit.values), judged)
+    return Stage(servo, problem, resume(problem, fit))
 
 
 def settle_well(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
@@ -203,7 +202,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     gain = leader.fit.total - fit.total
     contenders = [c for c in beyond if c.fit is not None and c.fit.total - fit.total > CONTENDER * gain]
     problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
-    plain = refit(problem, fit.simulator, fit.free, fit.values, fit.starts)
+    plain = resume(problem, fit, enough=ROUGH)
     before = squares(plain, bench.train)
     sizes = {c.name: fall(before, squares(c.fit, bench.train), find_effect(c.name).local) for c in contenders if c.fit}
     held = problem.only(bench.held)
@@ -301,7 +300,7 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
     noise = bench.noise(best.fit.residual, best.fit.weight, best.fit.values)
     problem = bench.problem(noise, bench.train)
-    return Stage(servo, problem, refit(problem, best.fit.simulator, servo.free, best.fit.values, best.fit.starts))
+    return Stage(servo, problem, resume(problem, best.fit))
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage) -> tuple[Stage, list[str]]:
@@ -325,6 +324,29 @@ def _without(stage: Stage, bench: Bench, base: Stage, name: str) -> Stage:
     values = {**base.fit.values, **stage.fit.values} | {f.name: base.fit.values[f.name] for f in own if rigid and RIGID in f.name}
     problem = stage.problem
     return Stage(servo, problem, refit(problem, servo.simulator(bench.segments), servo.free, values, stage.fit.starts))
+
+
+def views_of(stage: Stage, bench: Bench) -> tuple[list[Share], Array]:
+    """Return what each view predicts of a fitted servo's residual, and the torque behind it (samples,) [N.m]."""
+    lens = lens_of(stage, bench)
+    torque = lens.torque(stage.fit) * (stage.fit.weight > 0)[:, None]
+    rough = torque.reshape(len(torque), bench.segments.bins, -1).mean(axis=2)
+    factor = 2 * math.pi / bench.turn  # what repeats, repeats along what a motion begins anew after
+    around = replace(bench.motion, theta=factor * bench.motion.theta)
+    return shares(lens, around, bench.segments.h, factor * bench.resolution, rough), torque.ravel()
+
+
+def suspicious(stage: Stage, bench: Bench, verdict: Verdict, taken: set[str]) -> bool:
+    """True if a view shows something in the residual, or the directions of an effect that was tried before."""
+    if any(share.p <= HINT and share.view not in MEASURED for share in views_of(stage, bench)[0]):
+        return True
+    lens, classes = lens_of(stage, bench), {group(name) for name in taken}
+    for c in verdict.candidates:
+        for bank in c.banks if group(c.name) not in classes else ():
+            score = np.einsum("s,snk,sn->k", lens.weight, bank, lens.rest, optimize=True)
+            if 0.5 * float(score @ score) > HOPE * verdict.null.level(c.name):
+                return True
+    return False
 
 
 def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tuple[Stage, list[Verdict]]:
@@ -362,6 +384,9 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
             text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
             rounds[-1] = replace(rounds[-1], decision=text)
         if len(taken) - len(base.servo.effects) >= MOST or bench.narrow:
+            break
+        if not suspicious(stage, bench, rounds[-1], taken):
+            rounds[-1] = replace(rounds[-1], decision=f"{rounds[-1].decision}; no view and no effect shows anything beside")
             break
     return stage, rounds
 

@@ -23,6 +23,7 @@ KNOTS = 9
 TONES = (0.2, 45.0)  # Hz
 PERIODS = 60  # in a turn
 POINTS = 5000  # of the path, for them
+MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
 FAR = 5.0  # times the usual squared error, whitened
 STRETCHES = "some stretches"
 STOPS = 5  # widths of elastic elements that make up a hysteresis

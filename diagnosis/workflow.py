@@ -14,16 +14,16 @@ from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
 from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.fit import Fit, Free, evaluate, refit
+from bristle.diagnosis.fit import Fit, Free, evaluate, resume
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import REACH, Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import Plausibility, check
-from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, lens_of, search, settle, settle_well
+from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, search, settle, settle_well, views_of
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.views import Share, appearances, residual_map, shares
+from bristle.diagnosis.views import MEASURED, Share, appearances, residual_map
 from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
@@ -35,7 +35,6 @@ LEFT = 0.15  # share of the squared error that a view must explain before someth
 CERTAIN = 0.01
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
-MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
 EDGE = 0.1  # of the time, at either end, in which no step is looked for
 MAPS = 6  # views whose residual is drawn
 ROTARY = ("gravity", "eccentric_encoder")  # effects that repeat with the turn of a shaft
@@ -296,7 +295,7 @@ def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
 def _whole(bench: Bench, stage: Stage) -> Fit:
     """Return the servo fitted to all segments, those kept from the search included."""
     problem = stage.problem.only(bench.segments.judged)
-    return refit(problem, stage.fit.simulator, stage.servo.free, stage.fit.values, stage.fit.starts)
+    return resume(problem, stage.fit)
 
 
 def covariance(problem_fit: Fit) -> Array:
@@ -334,16 +333,11 @@ def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, 
     """Return the views before and after, both as the final noise sees them, with maps; and the shares after."""
     plain = evaluate(final.problem, base.fit.simulator, base.fit.free, base.fit.values, base.fit.starts)
     stages = (Stage(base.servo, final.problem, plain), final)
-    factor = 2 * math.pi / bench.turn
-    around = replace(bench.motion, theta=factor * bench.motion.theta)
     found, torques = [], []
     for stage in stages:
-        lens = lens_of(stage, bench)
-        torque = lens.torque(stage.fit) * (stage.fit.weight > 0)[:, None]
-        rough = torque.reshape(len(torque), bench.segments.bins, -1).mean(axis=2)
-        seen = shares(lens, around, bench.segments.h, factor * bench.resolution, rough)
+        seen, torque = views_of(stage, bench)
         found.append([_along_axis(bench, share) for share in seen])
-        torques.append(torque.ravel())
+        torques.append(torque)
     before, after = found
     table = {share.view: share for share in after}
     views: list[answer.View] = []

@@ -6,6 +6,7 @@ import math
 
 import casadi as ca
 
+from bristle.model.branches import Branch, Line, arranged
 from bristle.model.program import Kernel
 
 # {0}, {1}: operands. A minimum or maximum lets NaN through in both languages.
@@ -44,10 +45,10 @@ def _number(value: float, python: bool) -> str:
     return repr(float(value)) if value >= 0 and math.copysign(1.0, value) > 0 else f"({float(value)!r})"
 
 
-def _walk(function: ca.Function, reads: tuple[int, ...], python: bool) -> tuple[list[tuple[str, str]], dict[int, str]]:
-    """Return the assignments (name, expression) of a function and the name of each result."""
+def _walk(function: ca.Function, reads: tuple[int, ...], python: bool) -> tuple[list[Line], dict[int, str]]:
+    """Return the assignments of a function and the name of each result."""
     spellings = _PYTHON if python else _C
-    lines: list[tuple[str, str]] = []
+    lines: list[Line] = []
     current: dict[int, str] = {}  # what each work slot holds now; every value gets a fresh name
     results: dict[int, str] = {}
     loaded: dict[tuple[int, int], str] = {}
@@ -59,15 +60,17 @@ def _walk(function: ca.Function, reads: tuple[int, ...], python: bool) -> tuple[
             key = (inp[0], inp[1])
             if key not in loaded:
                 loaded[key] = f"a{len(lines)}"
-                lines.append((loaded[key], f"v[{reads[inp[1]]}]" if inp[0] == 0 else "h"))
+                lines.append(Line(loaded[key], f"v[{reads[inp[1]]}]" if inp[0] == 0 else "h", ()))
             current[out[0]] = loaded[key]
         elif op == ca.OP_CONST:
             current[out[0]] = _number(function.instruction_constant(k), python)
         else:
             if op not in spellings:
                 raise NotImplementedError(f"operation {op} of {function.name()} has no spelling; add it to model/emit.py")
-            name = f"a{len(lines)}"
-            lines.append((name, spellings[op].format(*(current[i] for i in inp))))
+            name, operands = f"a{len(lines)}", [current[i] for i in inp]
+            needs = tuple(each for each in operands if each.startswith("a"))
+            branch = operands if op == ca.OP_IF_ELSE_ZERO and len(needs) == len(operands) else ("", "")
+            lines.append(Line(name, spellings[op].format(*operands), needs, *branch))
             current[out[0]] = name
     return lines, results
 
@@ -79,10 +82,21 @@ def emit_c(kernel: Kernel) -> str:
     for function, targets in kernel.blocks:
         lines, results = _walk(function, kernel.reads, python=False)
         text.append("    {")
-        text += [f"        const double {name} = {expression};" for name, expression in lines]
+        for line in arranged(lines, results.values()):
+            text += _branch(line) if isinstance(line, Branch) else [f"        const double {line.name} = {line.text};"]
         text += [f"        {array}[{targets[k]}] = {results[k]};" for k in sorted(results)]
         text.append("    }")
     return "\n".join([*text, "}", ""])
+
+
+def _branch(branch: Branch) -> list[str]:
+    return [
+        f"        double {', '.join(f'{line.name} = 0.0' for line in branch.results)};",
+        f"        if ({branch.condition} != 0) {{",
+        *(f"            const double {line.name} = {line.text};" for line in branch.lines),
+        *(f"            {line.name} = {line.value};" for line in branch.results),
+        "        }",
+    ]
 
 
 def emit_python(kernel: Kernel) -> str:
@@ -91,6 +105,6 @@ def emit_python(kernel: Kernel) -> str:
     text = [f"def {kernel.name}(v, h, out):"]
     for function, targets in kernel.blocks:
         lines, results = _walk(function, kernel.reads, python=True)
-        text += [f"    {name} = {expression}" for name, expression in lines]
+        text += [f"    {line.name} = {line.text}" for line in lines]
         text += [f"    {array}[{targets[k]}] = {results[k]}" for k in sorted(results)]
     return "\n".join([*text, *([] if kernel.blocks else ["    pass"]), "", ""])

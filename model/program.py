@@ -223,7 +223,9 @@ class Program:
                 step = ca.vertcat(*rodas(system, h))
             add("step", [(_solved(step, unknowns), range(n + 1))], to_output=True)
             if self.sensitivities:
-                add("step_jacobian", [self._derivative(system, step[:n], unknowns)], to_output=True)
+                slopes = self._derivative(system, step[:n], unknowns)[0]  # the step itself beside: both share most of their work
+                both = ca.vertcat(slopes, _solved(step[:n], unknowns))
+                add("step_jacobian", [(both, range(both.numel()))], to_output=True)
             if self.sensitivities and self.observed:
                 add("seen_jacobian", [self._derivative(system, system.outputs[self.observed][1])], to_output=True)
         if system.smooth:

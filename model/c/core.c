@@ -72,12 +72,13 @@ int core_jacobian(Core *c, double *jacobian)
     return CORE_OK;
 }
 
-static void sensitivities(Core *c, double h, double *s)
+/* Carry derivatives over a step, and return where it leads. */
+static void sensitivities(Core *c, double h, double *s, double *x)
 {
 #if N_SENSITIVITIES
     const Variant *a = variant_of(c);
     const int n = a->n_states, q = N_SENSITIVITIES;
-    double jacobian[N_X * (N_X + N_SENSITIVITIES) + 1], old[N_X * N_SENSITIVITIES + 1];
+    double jacobian[N_X * (N_X + N_SENSITIVITIES + 1) + 1], old[N_X * N_SENSITIVITIES + 1];
     a->step_jacobian(c->v, h, jacobian);
     memcpy(old, s, sizeof(double) * (size_t)(n * q));
     for (int i = 0; i < n; i++)
@@ -86,8 +87,9 @@ static void sensitivities(Core *c, double h, double *s)
             for (int j = 0; j < n; j++) sum += jacobian[i * (n + q) + j] * old[j * q + k];
             s[i * q + k] = sum;
         }
+    for (int i = 0; i < n; i++) x[i] = jacobian[n * (n + q) + i];
 #else
-    (void)c; (void)h; (void)s;
+    (void)c; (void)h; (void)s; (void)x;
 #endif
 }
 
@@ -118,7 +120,7 @@ static int segment_controlled(Core *c, double begin, double length, long long *l
             } while (error > 1.0);
             continue;
         }
-        if (s) sensitivities(c, h, s);
+        if (s) sensitivities(c, h, s, x);
         i++;
         accept(c, begin + length * ((double)i / (double)n), x);
         if (error < 0.03125 && c->level > 0 && i % 2 == 0) {
@@ -137,8 +139,8 @@ static int segment_fixed(Core *c, double begin, double length, long long *left, 
     const long long n = ratio < 1.0 ? 1 : (long long)ratio;
     const double h = length / (double)n;
     for (long long i = 1; i <= n; i++) {
-        a->step(c->v, h, x);
-        if (s) sensitivities(c, h, s);
+        if (s) sensitivities(c, h, s, x);
+        else a->step(c->v, h, x);
         accept(c, begin + length * ((double)i / (double)n), x);
     }
     *left -= n;
