@@ -5,7 +5,7 @@ changes anything. Along the measured motion no such trap is there: the accelerat
 integrated twice and compared with what was measured. Noise in the motion makes this worse than a simulation near the
 answer; it is made to find the neighbourhood, not to decide.
 
-Source: janot2014 (inverse dynamic model, linear in most parameters), in integral form to avoid differentiating the output.
+Source: janot2019 (inverse dynamic model, linear in most parameters), in integral form to avoid differentiating the output.
 """
 
 from __future__ import annotations
