@@ -300,7 +300,7 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
     noise = bench.noise(best.fit.residual, best.fit.weight, best.fit.values)
     problem = bench.problem(noise, bench.train)
-    return Stage(servo, problem, resume(problem, best.fit))
+    return Stage(servo, problem, resume(problem, best.fit, LONG))
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage) -> tuple[Stage, list[str]]:

@@ -124,7 +124,7 @@ def case(measured: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
             runs = {seed: measured(name, seed) if name else measured(seed=seed, plain=1) for seed in (1, 2)}
             n = round(SECONDS / H)
             records = records_from_arrays(model, [(f"run {k}", t[:n], u[:n], y[:n]) for k, (t, u, y, _) in runs.items()])
-            bench = bench_of(model, records, {"b": 1.0, **model.parameters})
+            bench = bench_of(model, records)
             made[name] = Case(model, records, bench, settle(bench, *base_of(model, bench)))
         return made[name]
 

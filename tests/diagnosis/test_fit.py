@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.candidates import advance, evidence, explore, follow
 from bristle.diagnosis.fit import Free, evaluate, refit
-from bristle.diagnosis.search import lens_of
+from bristle.diagnosis.search import lens_of, look
 from bristle.diagnosis.workflow import covariance
 
 TRUE = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
@@ -26,13 +25,8 @@ HIDDEN = {  # effect: (parameters it was simulated with, largest error relative 
 
 
 def joined(case, name):
-    """An effect refitted from its own starts, on top of a model that lacks it; then once more under the noise it leaves."""
-    base, lens = case.base, lens_of(case.base, case.bench)
-    e = evidence(case.bench.motion, lens, base.fit, case.bench.resolution)
-    found = follow(base.problem, advance(base.problem, explore(base.problem, base.servo, name, base.fit, lens, e)))
-    for _ in range(2):
-        noise = case.bench.noise(found.fit.residual, found.fit.weight, found.fit.values)
-        found = follow(case.bench.problem(noise, case.bench.train), found)
+    """An effect refitted from its own starts, on top of a model that lacks it, under the noise it leaves."""
+    [found] = look(case.bench, case.base, [name], lambda text, share: None).candidates
     return found
 
 
