@@ -20,8 +20,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.candidates import FINALISTS, RIGID, Servo, Start, freedom, idle, starts
-from bristle.diagnosis.fit import ENOUGH, FREEDOM, Free
+from bristle.diagnosis.candidates import FINALISTS, RIGID, Servo, Start, dry_level, freedom, idle, starts
+from bristle.diagnosis.fit import ENOUGH, FREEDOM, Free, moved
 from bristle.diagnosis.lens import Motion
 from bristle.diagnosis.noise import Noise, response
 from bristle.diagnosis.segments import Segments
@@ -179,7 +179,7 @@ class Balance:
             size = np.sqrt(np.diag(normal) + scale)
             table = (normal + np.diag(scale)) / np.outer(size, size)
             step[active] = np.linalg.solve(table[np.ix_(active, active)], (pull / size)[active]) / size[active]
-            trial = self._at(law, effects, free, _moved(free, found.values, step))
+            trial = self._at(law, effects, free, moved(free, found.values, step))
             gain = trial[0].total - found.total
             if gain > 0:
                 best, damping = trial, damping / 5
@@ -291,10 +291,9 @@ class Joint:
     def _evidence(self, balance: Balance, found: Found) -> Evidence:
         m, values = balance.motion, found.values
         _, own = balance.evaluate(self._servo.law, self._servo.effects, self._free, values)
-        level = next((values[f.name] for f in self._free if f.name.endswith(".Fc")), 0.0)
-        level = level or 0.1 * float(np.mean(np.abs(values["b"] * m.u)))
         return Evidence(
-            m.theta, m.v * m.moving, m.a, m.u, m.time, balance.step, self._resolution, values["J"], level, values["b"],
+            m.theta, m.v * m.moving, m.a, m.u, m.time, balance.step, self._resolution, values["J"],
+            dry_level(self._free, values, m.u), values["b"],
             lambda torques: balance.regress(found, own, values["J"], torques), self._turn,
         )  # fmt: skip
 
@@ -305,14 +304,6 @@ def _white(bins: int, level: float) -> Noise:
 
 def _leaves(free: Free, value: float, pull: float) -> bool:
     return bool((value <= free.low and pull < 0) or (value >= free.high and pull > 0))
-
-
-def _moved(free: tuple[Free, ...], values: Mapping[str, float], step: Array) -> dict[str, float]:
-    moved = dict(values)
-    for f, d in zip(free, step, strict=True):
-        value = values[f.name] * float(np.exp(np.clip(d, -1.0, 1.0))) if f.factor else values[f.name] + float(d)
-        moved[f.name] = f.inside(value)
-    return moved
 
 
 @lru_cache(maxsize=64)

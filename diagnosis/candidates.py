@@ -92,13 +92,17 @@ class Candidate:
         return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, ends in near for end in ends if np.isfinite(end))
 
 
+def dry_level(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
+    """Return the dry friction of a model [N.m], or a tenth of the usual torque where it has none."""
+    level = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
+    return level or 0.1 * float(np.mean(np.abs(values["b"] * u)))
+
+
 def evidence(motion: Motion, lens: Lens, fit: Fit, resolution: float, turn: float) -> Evidence:
     """Return what effects derive their starting values from; `turn` is the path after which a motion begins anew."""
-    level = next((fit.values[f.name] for f in fit.free if f.name.endswith(".Fc")), 0.0)
-    level = level or float(np.mean(np.abs(fit.values["b"] * motion.u))) * 0.1
     return Evidence(
         motion.theta, motion.v * motion.moving, motion.a, motion.u, motion.time, fit.simulator.segments.h, resolution,
-        fit.values["J"], level, fit.values["b"], lens.regress, turn,
+        fit.values["J"], dry_level(fit.free, fit.values, motion.u), fit.values["b"], lens.regress, turn,
     )  # fmt: skip
 
 

@@ -227,12 +227,13 @@ def promise(problem: Problem, fit: Fit) -> float:
     return _direction(problem, fit, problem.damping)[2]
 
 
-def _moved(fit: Fit, step: Array) -> dict[str, float]:
-    values = dict(fit.values)
-    for f, d in zip(fit.free, step, strict=True):
+def moved(free: tuple[Free, ...], values: Mapping[str, float], step: Array) -> dict[str, float]:
+    """Return the values after a step (free,), each parameter on the scale it moves on and inside its interval."""
+    after = dict(values)
+    for f, d in zip(free, step, strict=True):
         value = values[f.name] * float(np.exp(np.clip(d, -1.0, 1.0))) if f.factor else values[f.name] + d
-        values[f.name] = f.inside(value)
-    return values
+        after[f.name] = f.inside(value)
+    return after
 
 
 def refit(
@@ -259,7 +260,7 @@ def refit(
     for _ in range(iterations):
         step, back, promise = _direction(problem, fit, damping)
         around = np.clip(fit.starts + trust[:, None] * back, problem.starts - limit, problem.starts + limit)
-        trial = evaluate(problem, simulator, free, _moved(fit, step), around)
+        trial = evaluate(problem, simulator, free, moved(free, fit.values, step), around)
         gain = float((trial.here - fit.here).sum()) + trial.prior - fit.prior
         trust = np.where(trial.here < fit.here, 0.25 * trust, np.minimum(2 * trust, 1.0))
         open_ = fit.total - fit.prior - float(fit.here.sum())  # what the start states promise beside

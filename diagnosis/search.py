@@ -87,6 +87,10 @@ class Bench:
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
         return estimate(residual, weight, pulses, s.h, self.least)
 
+    def left_by(self, fit: Fit) -> Problem:
+        """Return the problem of the segments that the search may see, under the noise that a fit leaves."""
+        return self.problem(self.noise(fit.residual, fit.weight, fit.values), self.train)
+
     def far(self, fit: Fit) -> bool:
         """True if a model leaves so much of the motion within segments that steps from where it stands may lead nowhere."""
         s = self.segments
@@ -135,8 +139,8 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
     noise = bench.noise(residual, (judged & good).astype(float), values)
     fit = refit(bench.problem(noise, judged), simulator, servo.free, values, starts, LONG, enough=ROUGH)
     for _ in range(SETTLE):
-        fit = resume(bench.problem(bench.noise(fit.residual, fit.weight, fit.values), judged), fit, enough=ROUGH)
-    problem = bench.problem(bench.noise(fit.residual, fit.weight, fit.values), judged)
+        fit = resume(bench.left_by(fit), fit, enough=ROUGH)
+    problem = bench.left_by(fit)
     return Stage(servo, problem, resume(problem, fit))
 
 
@@ -167,9 +171,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     joint = bench.joint(stage) if far else None
 
     def quiet(left: Fit) -> Problem:
-        if not far or not left.weight.any():
-            return stage.problem
-        return bench.problem(bench.noise(left.residual, left.weight, left.values), stage.problem.judged)
+        return bench.left_by(left) if far and left.weight.any() else stage.problem
 
     tried = []
     for i, name in enumerate(names):
@@ -245,8 +247,7 @@ def _under_best_noise(
     problem = stage.problem
     for _ in range(3):
         assert leader.fit is not None
-        noise = bench.noise(leader.fit.residual, leader.fit.weight, leader.fit.values)
-        problem = bench.problem(noise, bench.train)
+        problem = bench.left_by(leader.fit)
         contenders = [follow(problem, c) for c in contenders]
         best = max(contenders, key=lambda c: c.merit)
         same, leader = best.name == leader.name, best
@@ -298,8 +299,7 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     assert best.fit is not None
     rigid = stage.servo.rigid and best.name not in ELASTIC
     servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
-    noise = bench.noise(best.fit.residual, best.fit.weight, best.fit.values)
-    problem = bench.problem(noise, bench.train)
+    problem = bench.left_by(best.fit)
     return Stage(servo, problem, resume(problem, best.fit, LONG))
 
 

@@ -1,11 +1,15 @@
-"""The end of a test run: pythonfmu's libraries may not have the last word."""
+"""What all tests share, and the end of a run: pythonfmu's libraries may not have the last word."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import pytest
+
+from bristle.model.errors import BristleError
 
 _status = pytest.StashKey[int]()
 
@@ -26,3 +30,17 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
+
+
+@pytest.fixture
+def message() -> Callable[[Callable[[], Any]], str]:
+    """Return what calls something that must fail, and checks that the message is one line."""
+
+    def call(what: Callable[[], Any]) -> str:
+        with pytest.raises(BristleError) as caught:
+            what()
+        text = str(caught.value)
+        assert "\n" not in text
+        return text
+
+    return call

@@ -19,7 +19,6 @@ from bristle.diagnosis import Model, Record, records_from_arrays
 from bristle.diagnosis.result import Diagnosis
 from bristle.diagnosis.search import Bench, Stage, settle
 from bristle.diagnosis.workflow import base_of, bench_of
-from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.plant.effects import effect, effects
@@ -58,20 +57,6 @@ def tree() -> dict[str, Any]:
 def model() -> Model:
     """A servo driven by a torque, with its position measured."""
     return Model.from_dict(TREE)
-
-
-@pytest.fixture
-def message() -> Callable[[Callable[[], Any]], str]:
-    """Return what calls something that must fail, and checks that the message is one line."""
-
-    def call(what: Callable[[], Any]) -> str:
-        with pytest.raises(BristleError) as caught:
-            what()
-        text = str(caught.value)
-        assert "\n" not in text
-        return text
-
-    return call
 
 
 @pytest.fixture(scope="session")

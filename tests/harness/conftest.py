@@ -7,12 +7,10 @@ import re
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from bristle.model.compiler import compile_shared
-from bristle.model.errors import BristleError
 
 BASE = """
 duration = "2 s"
@@ -128,17 +126,3 @@ def no_leftovers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pa
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     yield folder
     assert os.listdir(folder) == []
-
-
-@pytest.fixture
-def message() -> Callable[[Callable[[], Any]], str]:
-    """Return what calls something that must fail, and checks that the message is one line."""
-
-    def call(what: Callable[[], Any]) -> str:
-        with pytest.raises(BristleError) as caught:
-            what()
-        text = str(caught.value)
-        assert "\n" not in text
-        return text
-
-    return call
