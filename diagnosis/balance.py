@@ -189,9 +189,7 @@ class Balance:
                 break
         return best[0]
 
-    def _at(
-        self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: dict[str, float]
-    ) -> tuple[Found, Array]:
+    def _at(self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: dict[str, float]) -> tuple[Found, Array]:
         residual, slopes = self.evaluate(law, effects, free, values)
         finite = np.asarray(np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2)))
         residual, slopes = np.where(finite[:, None], residual, 1e3), np.where(finite[:, None, None], slopes, 0.0)

@@ -22,6 +22,8 @@ Start = tuple[Mapping[str, float], Mapping[str, float]]  # all parameters; those
 
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
 FINALISTS, STEPS = 2, 2  # starts from which steps are taken, and their number
+FACTORS = (0.7, 0.85, 0.94, 1.06, 1.18, 1.4)  # by which the parameters of a rugged effect are tried
+ROUNDS, BETTER = 4, 5.0  # how often, as long as it gains so many nats
 LIMITS = {  # closer than what can be simulated: what a servo may have
     "stribeck.excess": (0.0, 100.0),
     "compliance.share": (0.02, 0.9),
@@ -63,6 +65,20 @@ class Servo:
 
 
 @dataclass(frozen=True)
+class Test:
+    """What a candidate is worth.
+
+    `size`: factor by which the mean squared error falls; `kept`: gain on segments kept from the search [nats]; `proven`:
+    whether that is enough; `behind`: by how much the best one is likelier, and the standard error of that [nats].
+    """
+
+    size: float
+    kept: float
+    proven: bool
+    behind: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Candidate:
     """An effect fitted to the records: the fit of the whole model, and the directions it can explain anything in."""
 
@@ -72,6 +88,7 @@ class Candidate:
     promised: float = -np.inf  # log-likelihood that the first step promises
     rivals: tuple[Fit, ...] = ()  # other starts
     refused: str = ""
+    test: Test | None = None
 
     @property
     def size(self) -> int:
@@ -183,9 +200,34 @@ def advance(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:
     return replace(candidate, fit=fit, promised=promised, rivals=())
 
 
-def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:
-    """Refit a candidate from where it stands, under the noise that it leaves."""
-    return candidate if candidate.fit is None else replace(candidate, fit=_refitted(candidate.fit, quiet, ITERATIONS))
+def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Callable[[Fit], Problem]) -> Candidate:
+    """Refit a candidate from where it stands; a rugged one under the noise that it leaves (`left_by`), which matters then."""
+    if candidate.fit is None:
+        return candidate
+    fit = scanned(_refitted(candidate.fit, quiet, ITERATIONS), left_by, (candidate.name,))
+    return replace(candidate, fit=rescored(quiet(fit), fit))
+
+
+def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str]) -> Fit:
+    """Refit from the best of values around where a fit stands, as long as that helps, for the effects that need it.
+
+    Contacts open and close at other times as soon as a parameter moves: the likelihood has many small maxima, at which
+    steps along derivatives end.
+    """
+    own = [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
+    for _ in range(ROUNDS if own else 0):
+        problem = quiet(fit)
+        fit = best = rescored(problem, fit)
+        for f in own:
+            place = best.values[f.name]
+            trials = [{**best.values, f.name: f.inside(factor * place)} for factor in FACTORS]
+            tried = [evaluate(problem, fit.simulator, fit.free, values, best.starts) for values in trials]
+            best = max((best, *tried), key=lambda each: each.total)
+        new = rescored(problem, _refitted(best, quiet, ITERATIONS))
+        if new.total < fit.total + BETTER:
+            break
+        fit = new
+    return rescored(quiet(fit), fit)
 
 
 def _refitted(fit: Fit, quiet: Callable[[Fit], Problem], iterations: int) -> Fit:

@@ -112,4 +112,3 @@ class Lens:
         spread = max(self.noise.torque, 1e-30) ** 2
         free = self.freed(fit.white[:, :, None])[:, :, 0]
         return np.asarray(free @ (self.noise.whiten @ self._pulses @ memory * spread))
-

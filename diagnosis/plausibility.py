@@ -140,9 +140,7 @@ def _motion(y: Array, h: float, step: float, velocity: bool) -> tuple[Array, Arr
     return low, theta, v, a, shaken[0]
 
 
-def _rows(
-    columns: Sequence[tuple[Array, Array]], records: Sequence[Record], velocity: bool, steps: bool = True
-) -> _Rows | None:
+def _rows(columns: Sequence[tuple[Array, Array]], records: Sequence[Record], velocity: bool, steps: bool = True) -> _Rows | None:
     """Return the rows of all records while they move; `steps` tells whether the output has the records' resolution."""
     torque, core, free, block = [], [], [], []
     moved = [_motion(y, r.h, (r.resolution or 0.0) * steps, velocity) for (_, y), r in zip(columns, records, strict=True)]

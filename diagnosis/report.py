@@ -55,7 +55,7 @@ def interval(value: float, low: float, high: float) -> str:
     decimals = max(0, 1 - math.floor(math.log10(half) - power))
     mid, below, above, spread = (f"{x / 10.0**power:.{decimals}f}".replace("-", "−") for x in (value, low, high, half))
     lopsided = abs(high + low - 2 * value) > 0.2 * half
-    text = f"{mid} <span class=\"sub\">[{below} … {above}]</span>" if lopsided else f"{mid} ± {spread}"
+    text = f'{mid} <span class="sub">[{below} … {above}]</span>' if lopsided else f"{mid} ± {spread}"
     return text if power == 0 else f"({text})·10<sup>{power}</sup>".replace("-", "−")
 
 

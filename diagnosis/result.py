@@ -36,12 +36,20 @@ class Named:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, why it was dropped if so."""
+    """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, why it was dropped if so.
+
+    Of those above chance: `size`, the factor by which the mean squared error falls; `kept`, the gain on segments kept
+    from the search [nats]; `behind`, by how much the best one is likelier, and `doubt`, the standard error of that [nats].
+    """
 
     name: str
     gain: float
     level: float
     note: str = ""
+    size: float | None = None
+    kept: float | None = None
+    behind: float | None = None
+    doubt: float | None = None
 
 
 @dataclass(frozen=True)

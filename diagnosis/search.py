@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.balance import Balance, Joint
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, advance, evidence, explore, follow, pursue
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, Test, advance, evidence, explore, follow, pursue, scanned
 from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, evaluate, refit, rescored, resume
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import finer_gain, steady
 from bristle.diagnosis.segments import Segments
-from bristle.diagnosis.size import fall, mean_square, squares
+from bristle.diagnosis.size import fall, mean_square, squares, typical_fall
 from bristle.diagnosis.views import MEASURED, Share, shares
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -40,9 +40,11 @@ BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
+DOUBTLESS = 10.0  # times the null's level
 MARK = 3.0  # nats: what one segment may say about it
 RATIO = 3.3  # nats that a further parameter must gain
-LOSS, SHARE = 1.0, 0.1  # nats, and share of the gain, that the segments kept from the search may lose by chance
+LOSS = 5.0  # nats that segments kept from the search may lose by chance,
+SHOWN, CEDED = 0.025, 0.05  # and shares of the gain that they must show of it, or may lose to an effect that lives elsewhere
 HELD = 4  # every fourth segment is kept from the search
 
 
@@ -189,7 +191,10 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     null = _null(stage.problem, lens, fit, tried)
     hopeful = {c.name for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)}
     tried = _narrowed(
-        tried, lambda c: c.promised if c.name in hopeful else -np.inf, min(NARROW, len(hopeful)), lambda c: pursue(c, quiet)
+        tried,
+        lambda c: c.promised if c.name in hopeful else -np.inf,
+        min(NARROW, len(hopeful)),
+        lambda c: pursue(c, quiet, bench.left_by),
     )
     null = _null(stage.problem, lens, fit, tried) if hopeful else null
     reached = [c for c in tried if c.fit is not None]
@@ -204,23 +209,24 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     gain = leader.fit.total - fit.total
     contenders = [c for c in beyond if c.fit is not None and c.fit.total - fit.total > CONTENDER * gain]
     problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
+    contenders = [c for c in contenders if c.inside(stage.servo.limits)] or contenders
+    leader = max(contenders, key=lambda c: c.merit)
+    assert leader.fit is not None
     plain = resume(problem, fit, enough=ROUGH)
-    before = squares(plain, bench.train)
-    sizes = {c.name: fall(before, squares(c.fit, bench.train), find_effect(c.name).local) for c in contenders if c.fit}
     held = problem.only(bench.held)
-    large = [c for c in contenders if sizes[c.name] >= SIZE and c.inside(stage.servo.limits) and _proven(held, plain, c)]
+    tests = {c.name: _tested(bench, held, plain, c, null.level(c.name)) for c in contenders}
+    large = [c for c in contenders if tests[c.name].size >= SIZE]
     enough = plain.total + RIVAL * (leader.fit.total - plain.total if leader.fit else 0.0)
     leader = max([c for c in large if c.fit and c.fit.total > enough] or contenders, key=lambda c: c.merit)
-    leader = max([c for c in large if _spares(c, leader)] or [leader], key=lambda c: c.merit)
+    large = [c for c in large if tests[c.name].proven]
+    leader = max([c for c in large if leader in large and _spares(c, leader)] or [leader], key=lambda c: c.merit)
     assert leader.fit is not None
-    gain, size = leader.fit.total - plain.total, sizes[leader.name]
+    gain, size = leader.fit.total - plain.total, tests[leader.name].size
     ties = tuple(c.name for c in large if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
-    told = [replace(c, refused="{:.1f} +- {:.1f} s{:.2f}".format(*apart(leader, c), sizes[c.name])) for c in contenders]
+    told = [replace(c, test=replace(tests[c.name], behind=apart(leader, c))) for c in contenders]
     table = {c.name: c for c in tried} | {c.name: c for c in told}
     finer = finer_gain(problem, plain, leader.fit)
-    return Verdict(
-        tuple(table.values()), null, plain.total, leader, gain, size, ties, "", proven=leader in large, finer=finer
-    )
+    return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "", proven=leader in large, finer=finer)
 
 
 def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) -> Null:
@@ -267,12 +273,23 @@ def apart(best: Candidate, other: Candidate) -> tuple[float, float]:
     return best.merit - other.merit, float(np.std(difference) * np.sqrt(len(difference)))
 
 
-def _proven(held: Problem, plain: Fit, candidate: Candidate) -> bool:
-    """True unless a candidate makes segments less likely that it was not fitted to."""
+def _tested(bench: Bench, held: Problem, plain: Fit, candidate: Candidate, level: float) -> Test:
+    """Return what a candidate is worth: size on the segments of the search, and whether those kept from it agree.
+
+    Where a servo sticks and slips, a few segments may go another way by chance and hide all others in a mean; what is
+    beyond doubt is judged by the typical segment then, if the segments kept from the search fall as much.
+    """
     assert candidate.fit is not None
-    scores = [evaluate(held, f.simulator, f.free, f.values, f.starts).score for f in (candidate.fit, plain)]
-    gain = max(candidate.fit.total - plain.total, 0.0)
-    return bool(np.clip(scores[0] - scores[1], -MARK, MARK).sum() > -LOSS - SHARE * gain)
+    local = find_effect(candidate.name).local
+    new, old = (evaluate(held, f.simulator, f.free, f.values, f.starts) for f in (candidate.fit, plain))
+    kept = float(np.clip(new.score - old.score, -MARK, MARK).sum())
+    found = max(candidate.fit.total - plain.total, 0.0)
+    before, after = squares(plain, bench.train), squares(candidate.fit, bench.train)
+    size = fall(before, after, local)
+    if found > DOUBTLESS * level:
+        size = max(size, min(typical_fall(before, after), fall(squares(old, held.judged), squares(new, held.judged))))
+    least = -LOSS - CEDED * found if local else min(SHOWN * found - LOSS, MARK)
+    return Test(size, kept, kept > least)
 
 
 def _spares(plain: Candidate, rich: Candidate) -> bool:
@@ -300,16 +317,23 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     rigid = stage.servo.rigid and best.name not in ELASTIC
     servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
     problem = bench.left_by(best.fit)
-    return Stage(servo, problem, resume(problem, best.fit, LONG))
+    fit = scanned(resume(problem, best.fit, LONG), bench.left_by, stage.servo.effects)  # what was added before
+    problem = bench.left_by(fit)
+    return Stage(servo, problem, resume(problem, fit))
 
 
-def pruned(stage: Stage, bench: Bench, base: Stage) -> tuple[Stage, list[str]]:
-    """Return the servo without the effects that the last one has made needless, and the names of these."""
+def pruned(stage: Stage, bench: Bench, base: Stage, gain: float) -> tuple[Stage, list[str]]:
+    """Return the servo without the effects that the last one has made needless, and the names of these.
+
+    `gain` is that of the last one [nats], which an effect of little size must not fall far behind.
+    """
     added = [name for name in stage.servo.effects if name not in base.servo.effects]
     spared = []
     for name in added[:-1]:
         less = _without(stage, bench, base, name)
-        if fall(squares(less.fit, bench.train), squares(stage.fit, bench.train)) < MORE:
+        size, loss = fall(squares(less.fit, bench.train), squares(stage.fit, bench.train)), stage.fit.total - less.fit.total
+        print("PRUNE", name, size, loss, gain, flush=True)
+        if size < SIZE or (size < MORE and loss < ALSO * gain):
             stage = less
             spared.append(name)
     return stage, spared
@@ -379,7 +403,7 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
-        stage, spared = pruned(stage, bench, base)
+        stage, spared = pruned(stage, bench, base, verdict.gain)
         if spared:
             text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
             rounds[-1] = replace(rounds[-1], decision=text)

@@ -23,6 +23,11 @@ def mean_square(fit: Fit, mask: NDArray[np.bool_]) -> float:
     return float(np.mean(squares(fit, mask)))
 
 
+def typical_fall(before: Array, after: Array) -> float:
+    """Return by which factor the mean squared error of a typical segment falls."""
+    return float(np.exp(np.mean(np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300)))))
+
+
 def fall(before: Array, after: Array, local: bool = False) -> float:
     """Return by which factor mean squared errors of segments (segments,) fall.
 

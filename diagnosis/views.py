@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +26,7 @@ TONES = (0.2, 45.0)  # Hz
 PERIODS = 60  # in a turn
 POINTS = 5000  # of the path, for them
 MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
+ONCE = ("gravity", "eccentric_encoder")  # effects that repeat with each turn of a shaft
 FAR = 5.0  # times the usual squared error, whitened
 STRETCHES = "some stretches"
 STOPS = 5  # widths of elastic elements that make up a hysteresis
@@ -31,12 +34,17 @@ STOPS = 5  # widths of elastic elements that make up a hysteresis
 
 @dataclass(frozen=True)
 class Share:
-    """What a view predicts: share of the squared error that falls, its p over all views, and a label."""
+    """What a view predicts: share of the squared error that falls, its p over all views and alone, and a label.
+
+    `periods`: of the wave along the position that was found in it [1/turn].
+    """
 
     view: str
     share: float
     p: float
     label: str = ""
+    alone: float = 1.0
+    periods: float | None = None
 
 
 def appearances(name: str) -> set[str]:
@@ -45,6 +53,12 @@ def appearances(name: str) -> set[str]:
     kin = {"u": ("u", "u x direction", "v x u"), "history": ("history", STRETCHES), "frequency": ("tone",)}
     found = {view for own in effect.residual for view in kin.get(own, (own,))}
     return found | {STRETCHES} if effect.local else found
+
+
+def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:
+    """Return how often an effect repeats along a path `turn` [rad]; None if it does not."""
+    periods = 1.0 if name in ONCE else values.get(f"{name}.periods")
+    return None if periods is None else periods * turn / (2 * math.pi)
 
 
 def hats(x: Array, knots: int = KNOTS) -> Array:
@@ -101,8 +115,8 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     }
 
 
-def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str]]:
-    """Return waves whose frequency is chosen by the residual: in time and along the position, with a label."""
+def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str, float | None]]:
+    """Return waves whose frequency is chosen by the residual: in time and along the position, with a label and periods."""
     skip = lens.shape[1] // rough.shape[1]
     middle = np.arange(len(m.time)).reshape(-1, skip)[:, skip // 2]
     r, time, theta = rough.ravel(), m.time[middle], m.theta[middle]
@@ -114,7 +128,7 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
     frequency = np.fft.rfftfreq(size, step)
     power = np.abs(np.fft.rfft(even, size)) * ((frequency >= TONES[0]) & (frequency <= TONES[1]))
     tone = float(frequency[int(np.argmax(power))])
-    found = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz")}
+    found = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz", None)}
     turns = np.arange(1.0, PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)
@@ -124,7 +138,7 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
         power = np.sum([np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors], axis=0)
         periods = float(turns[int(np.argmax(power))])
         waves = [f[:, None] * _waves(periods * m.theta, 1) for f in factors]
-        found[view] = (np.column_stack(waves), f"{periods:.3g} in a turn")
+        found[view] = (np.column_stack(waves), f"{periods:.3g} in a turn", periods)
     return found
 
 
@@ -139,18 +153,23 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     live = np.flatnonzero(lens.weight > 0)
     rng = np.random.default_rng(2)
     signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(FLIPS, len(live)))])
-    labels, tables = {}, dict(made if made is not None else bases(m, h, step))
-    for view, (waves, label) in _searched(lens, m, rough).items():
+    told, tables = {}, dict(made if made is not None else bases(m, h, step))
+    for view, (waves, label, periods) in _searched(lens, m, rough).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
-        labels[view] = label
+        told[view] = label, periods
     found = {view: _predicted(lens, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
-    ps = {view: float((1 + np.count_nonzero(strongest >= draws[0])) / (1 + FLIPS)) for view, (draws, _) in found.items()}
+    ps = {view: (_chance(strongest, draws[0]), _chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
     whole = float(np.square(lens.plain(lens.rest[live][:, :, None], live)).mean())
-    result = [
-        Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view], labels.get(view, "")) for view, (_, power) in found.items()
-    ]
+    result = []
+    for view, (_, power) in found.items():
+        label, periods = told.get(view, ("", None))
+        result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], label, ps[view][1], periods))
     return [*sorted(result, key=lambda each: -each.share), _outbreaks(lens, m, live)]
+
+
+def _chance(draws: Array, gain: float) -> float:
+    return float((1 + np.count_nonzero(draws >= gain)) / (1 + len(draws)))
 
 
 def _outbreaks(lens: Lens, m: Motion, live: NDArray[np.int_]) -> Share:

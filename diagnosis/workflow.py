@@ -23,7 +23,7 @@ from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.search import Bench, Stage, Verdict, base_servo, group, search, settle, settle_well, views_of
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.views import MEASURED, Share, appearances, residual_map
+from bristle.diagnosis.views import MEASURED, ONCE, Share, appearances, periods_of, residual_map
 from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
@@ -35,9 +35,10 @@ LEFT = 0.15  # share of the squared error that a view must explain before someth
 CERTAIN = 0.01
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
+ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there
+SAME, HARMONICS = 0.03, (2, 3, 4)  # periods that count as equal; multiples that are the form of a wave
 EDGE = 0.1  # of the time, at either end, in which no step is looked for
 MAPS = 6  # views whose residual is drawn
-ROTARY = ("gravity", "eccentric_encoder")  # effects that repeat with the turn of a shaft
 
 
 def bench_of(model: Model, records: Sequence[Record]) -> Bench:
@@ -63,7 +64,7 @@ def bench_of(model: Model, records: Sequence[Record]) -> Bench:
     bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"])
     if not model.linear:
         return bench
-    refused = {name: "needs a shaft that turns: this axis is linear" for name in ROTARY}
+    refused = {name: "needs a shaft that turns: this axis is linear" for name in ONCE}
     return replace(bench, barred=refused, turn=float(np.ptp(moved.theta)))
 
 
@@ -170,9 +171,7 @@ def _held(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
         yield replace(f, nominal=known, doubt=1.0 if f.factor else 2.0 * abs(value)) if value else f
 
 
-def examine(
-    model: Model, records: Sequence[Record], bench: Bench, base: Stage, tell: Tell, begun: float
-) -> answer.Diagnosis:
+def examine(model: Model, records: Sequence[Record], bench: Bench, base: Stage, tell: Tell, begun: float) -> answer.Diagnosis:
     """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
     final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
     if final.servo.effects != base.servo.effects and (line := better_unbound(model, bench, base, final)):
@@ -180,7 +179,7 @@ def examine(
         return mend_first(model, records, said, mean_square(base.fit, bench.held), time.perf_counter() - begun)
     tell("what remains", 0.85)
     narrow = bool(bench.narrow) and final is not base
-    if narrow and _remains(_views(bench, base, final)[1], (), _gap(model, bench, base, final)).flag:
+    if narrow and _remains(_views(bench, base, final)[1], final, (), _gap(model, bench, base, final), bench.turn).flag:
         why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too uniform a motion to name it"
         final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
     return _conclude(model, records, bench, base, final, rounds, begun)
@@ -229,7 +228,7 @@ def _conclude(
     named = final.servo.effects[len(model.effects) :]
     verdict = "named" if named else _unnamed(last)
     gap = _gap(model, bench, base, final)
-    remains = _remains(after, named, gap)
+    remains = _remains(after, final, named, gap, bench.turn)
     intervals = estimates(model, whole)
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
@@ -353,17 +352,29 @@ def _along_axis(bench: Bench, share: Share) -> Share:
     return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if bench.barred else share
 
 
-def _remains(after: list[Share], named: Sequence[str], gap: answer.Gap) -> answer.Remains:
-    """Say whether something predictable is left that is neither small nor only the form of what was named."""
-    certain = [share for share in after if share.p <= CERTAIN and share.view not in MEASURED]
-    if not certain:
-        return answer.Remains(False, None, after[0].share)
+def _remains(after: list[Share], final: Stage, named: Sequence[str], gap: answer.Gap, turn: float) -> answer.Remains:
+    """Say whether something predictable is left that is neither small nor only the form of what was named.
+
+    What repeats as a multiple of a named wave is its form. What repeats as the wave itself, which was free to take it up,
+    is something else, and evidence in that view alone is enough.
+    """
+    seen = [share for share in after if share.view not in MEASURED]
     own = {view for name in named for view in appearances(name)}
+    waves = [periods for name in named if (periods := periods_of(name, final.fit.values, turn)) is not None]
     left = gap.after / gap.before if named and gap.before > 0 else 1.0
-    for share in certain:
-        if share.share >= LEFT and share.share * left >= (OWN if share.view in own else OTHER):
+    certain = []
+    for share in seen:
+        times = [share.periods / wave for wave in waves] if share.periods else []
+        same = any(abs(t - 1) < SAME for t in times)
+        if not (share.p <= CERTAIN or (same and share.alone <= ALONE)):
+            continue
+        certain.append(share)
+        form = any(abs(t - k) < SAME * k for t in times for k in HARMONICS)
+        least = OWN if share.view in own and not same else OTHER
+        if share.share >= LEFT and share.share * left >= least and not form:
             return answer.Remains(True, share.view, share.share)
-    return answer.Remains(False, certain[0].view, certain[0].share)
+    first = (certain or after)[0]
+    return answer.Remains(False, first.view if certain else None, first.share)
 
 
 def _gap(model: Model, bench: Bench, base: Stage, final: Stage) -> answer.Gap:
@@ -388,7 +399,8 @@ def _round(v: Verdict) -> answer.Round:
     bars = []
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else 0.0
-        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused))
+        tested = () if c.test is None else (c.test.size, c.test.kept, *c.test.behind)
+        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused, *tested))
     bars.sort(key=lambda bar: -bar.gain)
     added = v.best.name if v.best and v.named else None
     top = v.best.name if v.best else bars[0].name if bars else ""

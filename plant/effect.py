@@ -117,6 +117,8 @@ class Effect:
         Effects act in the order of (rank, name), whatever the order they are given in.
     local : bool
         True if it only acts beyond a limit, so that it may show in a few stretches of a record.
+    rugged : bool
+        True if contacts open and close, so that a fit along derivatives ends at one of many small maxima.
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
     states, rates : tuple of State, function
@@ -155,6 +157,7 @@ class Effect:
     parameters: tuple[Parameter, ...]
     rank: int = 0
     local: bool = False
+    rugged: bool = False
     load_side: bool = False
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None

@@ -22,11 +22,14 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return plays from a few steps of the sensor upwards, with a contact of 40 Hz."""
-    share = 0.3
-    stiffness = share * (1 - share) * e.inertia * (2 * math.pi * 40.0) ** 2
-    plays = [4 * e.resolution * 3.0**k for k in range(5)]
-    return [{"share": share, "play": play, "stiffness": stiffness, "dissipation": 1.0} for play in plays]
+    """Return plays from a few steps of the sensor upwards, of a light load and of a heavy one, with a contact of 50 Hz."""
+    plays = [4 * e.resolution * 2.0**k for k in range(7)]
+    contact = e.inertia * (2 * math.pi * 50.0) ** 2
+    return [
+        {"share": share, "play": play, "stiffness": share * (1 - share) * contact, "dissipation": 1.5}
+        for share in (0.25, 0.6)
+        for play in plays
+    ]
 
 
 EFFECT = Effect(
@@ -36,6 +39,7 @@ EFFECT = Effect(
     group="backlash",
     equation="T = k e (1 + lambda e'), e = dz(theta - theta_load, b/2), J_load = r J",
     residual=("history",),
+    rugged=True,
     excitation="reversals",
     confounded=("input_delay", "presliding", "compliance"),
     parameters=(

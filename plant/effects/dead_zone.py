@@ -32,9 +32,7 @@ EFFECT = Effect(
     residual=("u",),
     excitation="reversals with a small input",
     confounded=("stribeck", "asymmetric_coulomb"),
-    parameters=(
-        Parameter("dead_zone.width", "d", "V", 0.3, 0.0, 1e6, "input on either side that does nothing", "tao1996"),
-    ),
+    parameters=(Parameter("dead_zone.width", "d", "V", 0.3, 0.0, 1e6, "input on either side that does nothing", "tao1996"),),
     rank=1,
     command=command,
     starts=starts,

@@ -28,9 +28,7 @@ HIDDEN = [("gravity", "amplitude", 0.3), ("cogging", "amplitude", 0.08), ("bias"
 
 
 @pytest.mark.parametrize(("name", "parameter", "true"), HIDDEN)
-def test_it_starts_near_the_truth(
-    name: str, parameter: str, true: float, joint: Callable[..., Any], tree: dict[str, Any]
-) -> None:
+def test_it_starts_near_the_truth(name: str, parameter: str, true: float, joint: Callable[..., Any], tree: dict[str, Any]) -> None:
     tree["parameters"] = {"J": 0.02, "a2": 0.01, "Fc": 0.3}
     [(values, start)] = joint(tree, name).starts(name)
     assert abs(start[parameter]) == pytest.approx(true, rel=0.15)

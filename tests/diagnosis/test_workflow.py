@@ -86,9 +86,7 @@ PROPOSED: dict[str, tuple[Callable[[Columns], Columns], str]] = {
 
 
 @pytest.mark.parametrize("what", list(PROPOSED))
-def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(
-    what: str, call: Call, measured: Callable[..., Any]
-) -> None:
+def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(what: str, call: Call, measured: Callable[..., Any]) -> None:
     change, words = PROPOSED[what]
     data = [change(measured("gravity", seed)[:3]) for seed in (1, 2)]
     code, answer, error = call(*data)
