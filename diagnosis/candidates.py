@@ -22,8 +22,9 @@ Start = tuple[Mapping[str, float], Mapping[str, float]]  # all parameters; those
 
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
 FINALISTS, STEPS = 2, 2  # starts from which steps are taken, and their number
-FACTORS = (0.7, 0.85, 0.94, 1.06, 1.18, 1.4)  # by which the parameters of a rugged effect are tried
-ROUNDS, BETTER = 4, 5.0  # how often, as long as it gains so many nats
+TRIES = 24  # values of a rugged effect that are tried around where it stands,
+SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread by such factors, round by round,
+BETTER = 5.0  # as long as that gains so many nats
 LIMITS = {  # closer than what can be simulated: what a servo may have
     "stribeck.excess": (0.0, 100.0),
     "compliance.share": (0.02, 0.9),
@@ -68,12 +69,13 @@ class Servo:
 class Test:
     """What a candidate is worth.
 
-    `size`: factor by which the mean squared error falls; `kept`: gain on segments kept from the search [nats]; `proven`:
-    whether that is enough; `behind`: by how much the best one is likelier, and the standard error of that [nats].
+    `fall`: factor by which the mean squared error falls; `kept`: gain on segments kept from the search [nats]; `large`,
+    `proven`: whether each is enough; `behind`: by how much the best one is likelier, and the standard error of that [nats].
     """
 
-    size: float
+    fall: float
     kept: float
+    large: bool
     proven: bool
     behind: tuple[float, float] = (0.0, 0.0)
 
@@ -101,6 +103,10 @@ class Candidate:
         if self.fit is None:
             return -np.inf
         return self.fit.total - 0.5 * self.size * float(np.log(np.count_nonzero(self.fit.weight) + 1.0))
+
+    def gain_over(self, fit: Fit) -> float:
+        """Return by how much it is likelier than another fit under the same noise [nats]."""
+        return self.fit.total - fit.total if self.fit else -np.inf
 
     def inside(self, limits: Mapping[str, tuple[float, float]]) -> bool:
         """False where a parameter ends at a limit of the records: what it explains there is something else."""
@@ -211,19 +217,19 @@ def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Calla
 def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str]) -> Fit:
     """Refit from the best of values around where a fit stands, as long as that helps, for the effects that need it.
 
-    Contacts open and close at other times as soon as a parameter moves: the likelihood has many small maxima, at which
-    steps along derivatives end.
+    What switches, such as a contact, does so at other times as soon as a parameter moves: the likelihood has many small
+    maxima, at which steps along derivatives end.
     """
     own = [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
-    for _ in range(ROUNDS if own else 0):
+    rng = np.random.default_rng(1)
+    for spread in SPREADS if own else ():
         problem = quiet(fit)
         fit = best = rescored(problem, fit)
-        for f in own:
-            place = best.values[f.name]
-            trials = [{**best.values, f.name: f.inside(factor * place)} for factor in FACTORS]
-            tried = [evaluate(problem, fit.simulator, fit.free, values, best.starts) for values in trials]
-            best = max((best, *tried), key=lambda each: each.total)
-        new = rescored(problem, _refitted(best, quiet, ITERATIONS))
+        for step in spread * rng.standard_normal((TRIES, len(own))):
+            near = {f.name: f.inside(best.values[f.name] * float(np.exp(d))) for f, d in zip(own, step, strict=True)}
+            trial = evaluate(problem, fit.simulator, fit.free, {**best.values, **near}, best.starts)
+            best = max((best, trial), key=lambda each: each.total)
+        new = max((best, rescored(problem, _refitted(best, quiet, ITERATIONS))), key=lambda each: each.total)
         if new.total < fit.total + BETTER:
             break
         fit = new

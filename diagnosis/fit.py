@@ -18,6 +18,7 @@ FREEDOM = 10.0  # of the t distribution: a segment twice as bad as the others co
 ENOUGH = 0.05  # nats: a fit ends when the next step promises less
 ROUGH = 0.5  # the same where candidates are compared only
 ITERATIONS = 15
+STARTS = 5  # steps of start states alone
 PATIENCE = 3  # steps in a row that gain nothing
 WILD = 1e12  # derivatives beyond this, or none, are those of a simulation that failed
 FAILED = 1e6  # squared misfit of a segment whose simulation failed
@@ -63,7 +64,7 @@ class Fit:
     score : ndarray, shape (segments,)
         Log-likelihood of each segment [nats], start states eliminated; 0 for segments that are not judged.
     here : ndarray, shape (segments,)
-        The same with the start states as they are.
+        The same with the start states as they are, for all segments.
     residual : ndarray, shape (segments, bins)
         Measured less simulated averages at the fitted start states.
     white, by_parameter, by_start : ndarray
@@ -165,9 +166,10 @@ def _scored(
     misfit = np.where(good, np.maximum(whole - np.einsum("si,si->s", pull, move), 0.0), FAILED)
     n = white.shape[1] - 2
     score, here = (
-        np.where(problem.judged, -0.5 * (FREEDOM + n) * np.log1p(each / FREEDOM) - 0.5 * problem.noise.log_det, 0.0)
+        -0.5 * (FREEDOM + n) * np.log1p(each / FREEDOM) - 0.5 * problem.noise.log_det
         for each in (misfit, np.where(good, whole, FAILED))
     )
+    score = np.where(problem.judged, score, 0.0)
     weight = np.where(problem.judged & good, (FREEDOM + n) / (FREEDOM + misfit), 0.0)
     cross = np.matmul(turned, by_parameter)
     own = np.matmul(by_parameter.transpose(0, 2, 1), by_parameter)
@@ -261,9 +263,9 @@ def refit(
         step, back, promise = _direction(problem, fit, damping)
         around = np.clip(fit.starts + trust[:, None] * back, problem.starts - limit, problem.starts + limit)
         trial = evaluate(problem, simulator, free, moved(free, fit.values, step), around)
-        gain = float((trial.here - fit.here).sum()) + trial.prior - fit.prior
+        gain = float((trial.here - fit.here)[problem.judged].sum()) + trial.prior - fit.prior
         trust = np.where(trial.here < fit.here, 0.25 * trust, np.minimum(2 * trust, 1.0))
-        open_ = fit.total - fit.prior - float(fit.here.sum())  # what the start states promise beside
+        open_ = fit.total - fit.prior - float(fit.here[problem.judged].sum())  # what the start states promise beside
         if gain > 0:
             fit, damping, failed = trial, damping / 5, 0
         else:
@@ -271,6 +273,12 @@ def refit(
         if promise + min(open_, enough) < enough or 0 <= gain < enough or failed > PATIENCE:
             break
     return fit
+
+
+def begun_well(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit with the start states of the judged segments refitted and all parameters as they are."""
+    still = evaluate(problem, fit.simulator, (), fit.values, fit.starts)
+    return refit(problem, fit.simulator, (), fit.values, fit.starts, STARTS, still)
 
 
 def resume(problem: Problem, fit: Fit, iterations: int = ITERATIONS, enough: float = ENOUGH) -> Fit:

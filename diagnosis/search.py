@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.balance import Balance, Joint
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, Test, advance, evidence, explore, follow, pursue, scanned
-from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, evaluate, refit, rescored, resume
+from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, begun_well, refit, rescored, resume
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
@@ -25,17 +25,18 @@ from bristle.plant.friction import law as find_law
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Tell = Callable[[str, float], None]
 
 LONG = 40  # steps of the first fit, which may be far from its end
 SETTLE = 2  # times that noise and parameters are estimated in turn
 MOST = 4  # effects that are added
 HINT = 0.05  # p of a view that calls for another round
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
-WIDE, NARROW = 9, 6  # candidates that go on after their starts, and after one step
+MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise most after the first steps
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.12  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
-PLAIN, MORE, ALSO = 3.0, 1.4, 0.25  # a further effect: lowers the error so, or so and gains this share of the first one
+PLAIN, MORE, ALSO = 3.0, 1.4, 0.4  # a further effect: lowers the error so, or so and gains this share of the first one
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
@@ -43,7 +44,7 @@ RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is 
 DOUBTLESS = 10.0  # times the null's level
 MARK = 3.0  # nats: what one segment may say about it
 RATIO = 3.3  # nats that a further parameter must gain
-LOSS = 5.0  # nats that segments kept from the search may lose by chance,
+LOSS = 8.0  # nats that segments kept from the search may lose by chance,
 SHOWN, CEDED = 0.025, 0.05  # and shares of the gain that they must show of it, or may lose to an effect that lives elsewhere
 HELD = 4  # every fourth segment is kept from the search
 
@@ -93,12 +94,16 @@ class Bench:
         """Return the problem of the segments that the search may see, under the noise that a fit leaves."""
         return self.problem(self.noise(fit.residual, fit.weight, fit.values), self.train)
 
-    def far(self, fit: Fit) -> bool:
-        """True if a model leaves so much of the motion within segments that steps from where it stands may lead nowhere."""
+    def missed(self, fit: Fit) -> float:
+        """Return the squared error over that of the motion within segments, less a straight line each."""
         s = self.segments
         ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
         moved = (s.seen - (s.seen @ ramp) @ ramp.T)[self.train]
-        return mean_square(fit, self.train) > FAR * float(np.mean(np.square(moved)))
+        return mean_square(fit, self.train) / float(np.mean(np.square(moved)))
+
+    def far(self, fit: Fit) -> bool:
+        """True if a model misses so much of the motion that steps from where it stands may lead nowhere."""
+        return self.missed(fit) > FAR
 
     def joint(self, stage: Stage) -> Joint:
         """Return where a model and an effect may start together."""
@@ -129,6 +134,7 @@ class Verdict:
     decision: str
     named: bool = False
     finer: float | None = None  # gain with finer steps of the simulation
+    large: bool = False  # enough to matter
     proven: bool = False  # on segments kept from the search
     withdrawn: bool = False  # named, but something remained on records of a uniform motion
 
@@ -165,11 +171,24 @@ def lens_of(stage: Stage, bench: Bench) -> Lens:
     return Lens(stage.problem, stage.fit, bench.motion.moving, stage.fit.values["J"], stage.fit.values["a2"])
 
 
-def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, float], None]) -> Verdict:
+def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> Verdict:
     """Try the named effects on top of a fitted servo."""
-    fit, lens = stage.fit, lens_of(stage, bench)
+    fit = stage.fit
+    tried, null = _tried(bench, stage, names, tell)
+    reached = [c for c in tried if c.fit is not None]
+    if not reached:
+        return Verdict(tuple(tried), null, fit.total, None, 0.0, 1.0, (), "no effect can join this model")
+    best = max(reached, key=lambda c: c.merit)
+    beyond = [c for c in reached if c.gain_over(fit) > null.level(c.name)]
+    if not beyond or best.merit <= Candidate("", fit).merit:
+        return Verdict(tuple(tried), null, fit.total, None, best.gain_over(fit), 1.0, (), "no gain above what chance gives")
+    return _judged(bench, stage, tried, beyond, null)
+
+
+def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tuple[list[Candidate], Null]:
+    """Return the named effects refitted as far as they are promising, and the null of the largest gain."""
+    fit, lens, far = stage.fit, lens_of(stage, bench), bench.far(stage.fit)
     e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
-    far = bench.far(fit)
     joint = bench.joint(stage) if far else None
 
     def quiet(left: Fit) -> Problem:
@@ -179,54 +198,45 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Callable[[str, 
     for i, name in enumerate(names):
         tell(name, i / max(len(names), 1))
         barred = bench.barred.get(name, "")
-        if barred:
-            tried.append(Candidate(name, None, refused=barred))
-        else:
-            tried.append(explore(stage.problem, stage.servo, name, fit, lens, e, quiet, joint.starts(name) if joint else ()))
-    reached = [c for c in tried if c.fit is not None]
-    nothing = Verdict(tuple(tried), Null(np.zeros(1), {}), fit.total, None, 0.0, 1.0, (), "no effect can join this model")
-    if not reached:
-        return nothing
-    tried = _narrowed(tried, lambda c: c.promised, WIDE, lambda c: advance(c, quiet))
+        more = joint.starts(name) if joint and not barred else ()
+        tried.append(
+            Candidate(name, None, refused=barred) if barred
+            else explore(stage.problem, stage.servo, name, fit, lens, e, quiet, more)
+        )  # fmt: skip
+    if not any(c.fit for c in tried):
+        return tried, Null(np.zeros(1), {})
+    tried = [advance(c, quiet) if c.fit else c for c in tried]
     null = _null(stage.problem, lens, fit, tried)
-    hopeful = {c.name for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)}
-    tried = _narrowed(
-        tried,
-        lambda c: c.promised if c.name in hopeful else -np.inf,
-        min(NARROW, len(hopeful)),
-        lambda c: pursue(c, quiet, bench.left_by),
-    )
-    null = _null(stage.problem, lens, fit, tried) if hopeful else null
-    reached = [c for c in tried if c.fit is not None]
-    leader = max(reached, key=lambda c: c.merit)
-    assert leader.fit is not None
-    gain = leader.fit.total - fit.total
-    beyond = [c for c in reached if c.fit is not None and c.fit.total - fit.total > null.level(c.name)]
-    if not beyond or leader.merit <= Candidate("", fit).merit:
-        return Verdict(tuple(tried), null, fit.total, None, gain, 1.0, (), "no gain above what chance gives")
-    leader = max(beyond, key=lambda c: c.merit)
-    assert leader.fit is not None
-    gain = leader.fit.total - fit.total
-    contenders = [c for c in beyond if c.fit is not None and c.fit.total - fit.total > CONTENDER * gain]
-    problem, leader, contenders = _under_best_noise(bench, stage, leader, contenders)
+    hopeful = [c for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)]
+    if not hopeful:
+        return tried, null
+    chosen = {c.name for c in sorted(hopeful, key=lambda c: -c.promised)[:MOST_REFITTED]}
+    tried = [pursue(c, quiet, bench.left_by) if c.name in chosen else c for c in tried]
+    return tried, _null(stage.problem, lens, fit, tried)
+
+
+def _judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Sequence[Candidate], null: Null) -> Verdict:
+    """Return what the candidates beyond the null are worth beside each other, under the noise that the best one leaves."""
+    best = max(beyond, key=lambda c: c.merit)
+    contenders = [c for c in beyond if c.gain_over(stage.fit) > CONTENDER * best.gain_over(stage.fit)]
+    problem, contenders = _under_best_noise(bench, stage, best, contenders)
     contenders = [c for c in contenders if c.inside(stage.servo.limits)] or contenders
-    leader = max(contenders, key=lambda c: c.merit)
-    assert leader.fit is not None
-    plain = resume(problem, fit, enough=ROUGH)
+    best = max(contenders, key=lambda c: c.merit)
+    plain = resume(problem, stage.fit, enough=ROUGH)
     held = problem.only(bench.held)
     tests = {c.name: _tested(bench, held, plain, c, null.level(c.name)) for c in contenders}
-    large = [c for c in contenders if tests[c.name].size >= SIZE]
-    enough = plain.total + RIVAL * (leader.fit.total - plain.total if leader.fit else 0.0)
-    leader = max([c for c in large if c.fit and c.fit.total > enough] or contenders, key=lambda c: c.merit)
-    large = [c for c in large if tests[c.name].proven]
-    leader = max([c for c in large if leader in large and _spares(c, leader)] or [leader], key=lambda c: c.merit)
+    rivals = [c for c in contenders if tests[c.name].large and c.gain_over(plain) > RIVAL * best.gain_over(plain)]
+    leader = max(rivals or contenders, key=lambda c: c.merit)
+    sound = [c for c in contenders if tests[c.name].large and tests[c.name].proven]
+    leader = max([c for c in sound if leader in sound and _spares(c, leader)] or [leader], key=lambda c: c.merit)
+    gain, test = leader.gain_over(plain), tests[leader.name]
+    ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
+    told = {c.name: replace(c, test=replace(tests[c.name], behind=apart(leader, c))) for c in contenders}
     assert leader.fit is not None
-    gain, size = leader.fit.total - plain.total, tests[leader.name].size
-    ties = tuple(c.name for c in large if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
-    told = [replace(c, test=replace(tests[c.name], behind=apart(leader, c))) for c in contenders]
-    table = {c.name: c for c in tried} | {c.name: c for c in told}
-    finer = finer_gain(problem, plain, leader.fit)
-    return Verdict(tuple(table.values()), null, plain.total, leader, gain, size, ties, "", proven=leader in large, finer=finer)
+    return Verdict(
+        tuple(({c.name: c for c in tried} | told).values()), null, plain.total, leader, gain, test.fall, ties, "",
+        large=test.large, proven=test.proven, finer=finer_gain(problem, plain, leader.fit),
+    )  # fmt: skip
 
 
 def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) -> Null:
@@ -238,17 +248,9 @@ def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) ->
     return largest_gain({c.name: c.banks for c in reached}, rest, fit.weight)
 
 
-def _narrowed(
-    candidates: list[Candidate], worth: Callable[[Candidate], float], count: int, go_on: Callable[[Candidate], Candidate]
-) -> list[Candidate]:
-    """Go on with the candidates that are worth most, and leave the others as they are."""
-    chosen = {c.name for c in sorted(candidates, key=lambda c: -worth(c))[:count]}
-    return [go_on(c) if c.name in chosen else c for c in candidates]
-
-
 def _under_best_noise(
     bench: Bench, stage: Stage, leader: Candidate, contenders: list[Candidate]
-) -> tuple[Problem, Candidate, list[Candidate]]:
+) -> tuple[Problem, list[Candidate]]:
     """Refit the contenders under the noise that the best of them leaves, until the best one stays the best."""
     problem = stage.problem
     for _ in range(3):
@@ -259,7 +261,7 @@ def _under_best_noise(
         same, leader = best.name == leader.name, best
         if same:
             break
-    return problem, leader, contenders
+    return problem, contenders
 
 
 def apart(best: Candidate, other: Candidate) -> tuple[float, float]:
@@ -281,15 +283,16 @@ def _tested(bench: Bench, held: Problem, plain: Fit, candidate: Candidate, level
     """
     assert candidate.fit is not None
     local = find_effect(candidate.name).local
-    new, old = (evaluate(held, f.simulator, f.free, f.values, f.starts) for f in (candidate.fit, plain))
+    new, old = (begun_well(held, f) for f in (candidate.fit, plain))
     kept = float(np.clip(new.score - old.score, -MARK, MARK).sum())
-    found = max(candidate.fit.total - plain.total, 0.0)
+    found = max(candidate.gain_over(plain), 0.0)
     before, after = squares(plain, bench.train), squares(candidate.fit, bench.train)
-    size = fall(before, after, local)
+    size = whole = fall(before, after, local)
     if found > DOUBTLESS * level:
-        size = max(size, min(typical_fall(before, after), fall(squares(old, held.judged), squares(new, held.judged))))
+        kept_too = typical_fall(squares(old, held.judged), squares(new, held.judged))
+        size = max(size, min(typical_fall(before, after), kept_too))
     least = -LOSS - CEDED * found if local else min(SHOWN * found - LOSS, MARK)
-    return Test(size, kept, kept > least)
+    return Test(whole, kept, size >= SIZE, kept > least)
 
 
 def _spares(plain: Candidate, rich: Candidate) -> bool:
@@ -373,7 +376,7 @@ def suspicious(stage: Stage, bench: Bench, verdict: Verdict, taken: set[str]) ->
     return False
 
 
-def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tuple[Stage, list[Verdict]]:
+def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]:
     """Add effects one after the other as long as one is found that is certain and large enough."""
     stage, rounds = base, []
     taken = set(base.servo.effects)
@@ -384,8 +387,8 @@ def search(bench: Bench, base: Stage, tell: Callable[[str, float], None]) -> tup
         rounds.append(verdict)
         if verdict.best is None:
             break
-        if verdict.size < SIZE or not verdict.proven:
-            small = "certain but small" if verdict.size < SIZE else "of no help on segments kept from the search"
+        if not (verdict.large and verdict.proven):
+            small = "of no help on segments kept from the search" if verdict.large else "certain but small"
             rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}", ties=())
             break
         worth = verdict.size >= PLAIN or (verdict.size >= MORE and verdict.gain >= ALSO * rounds[0].gain)

@@ -30,6 +30,7 @@ EFFECT = Effect(
     group="dead_zone",
     equation="u - clip(u, -d, d)",
     residual=("u",),
+    rugged=True,
     excitation="reversals with a small input",
     confounded=("stribeck", "asymmetric_coulomb"),
     parameters=(Parameter("dead_zone.width", "d", "V", 0.3, 0.0, 1e6, "input on either side that does nothing", "tao1996"),),

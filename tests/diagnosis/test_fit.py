@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.fit import Free, evaluate, refit
+from bristle.diagnosis.candidates import freedom, scanned
+from bristle.diagnosis.fit import Free, begun_well, evaluate, refit, rescored, resume
 from bristle.diagnosis.search import lens_of, look
 from bristle.diagnosis.workflow import covariance
 
@@ -179,3 +180,32 @@ def test_a_torque_in_the_residual_is_read_through_the_lens(case):
     assert gain > 5 * lens.regress(np.column_stack([np.sin(5 * m.theta), np.cos(5 * m.theta)]))[1]
     own = lens.free_of_model(lens.model)
     assert np.max(np.abs(own)) < 1e-6 * np.max(np.abs(lens.model))
+
+
+def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
+    """Parameters stay; the likelihood of the disturbed segments comes back to what it was."""
+    plain = case(None)
+    problem = plain.base.problem.only(plain.bench.held)
+    best = begun_well(problem, plain.base.fit)
+    off = best.starts + np.where(plain.bench.held[:, None], 30 * problem.spread, 0.0)
+    again = begun_well(problem, replace(best, starts=off))
+    assert again.values == best.values
+    assert again.here[plain.bench.held].sum() == pytest.approx(best.here[plain.bench.held].sum(), abs=1.0)
+    still = evaluate(problem, best.simulator, (), best.values, off)
+    assert still.here[plain.bench.held].sum() < best.here[plain.bench.held].sum() - 100
+
+
+def test_a_rugged_effect_is_found_from_a_play_and_a_stiffness_that_are_far_off(case):
+    """Steps along derivatives end at a small maximum near where they begin; trials around it go on."""
+    backlash = case("backlash")
+    free = (*backlash.base.fit.free, *freedom("backlash", {"share": 0.5, "play": 0.03, "stiffness": 50.0}, {}))
+    simulator = backlash.base.servo.simulator(backlash.base.fit.simulator.segments, ("backlash",))
+    off = {"backlash.share": 0.35, "backlash.play": 0.04, "backlash.stiffness": 25.0, "backlash.dissipation": 1.0}
+    values = {**backlash.base.fit.values, **off}
+    first = evaluate(backlash.base.problem, simulator, free, values, backlash.base.fit.starts)
+    steps = resume(backlash.bench.left_by(first), first)
+    tried = scanned(steps, backlash.bench.left_by, ("backlash",))
+    problem = backlash.bench.left_by(tried)
+    assert tried.total > rescored(problem, steps).total + 100
+    assert tried.values["backlash.play"] == pytest.approx(0.03, rel=0.05)
+    assert scanned(steps, backlash.bench.left_by, ("gravity",)).values == steps.values

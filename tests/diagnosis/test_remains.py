@@ -1,0 +1,62 @@
+"""What is said to remain: neither what is small, nor the form of what was named, but a wave that it should have taken up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis.result import Gap
+from bristle.diagnosis.views import STRETCHES, Share
+from bristle.diagnosis.workflow import _remains
+
+TURN = 2 * np.pi
+HALF = Gap(2.0, 1.0, 0.1, "(rad)2")  # an effect was named that left half of the error
+
+
+def said(share, *named, gap=HALF, turn=TURN, **values):
+    """What remains of a residual in which one view shows."""
+    final = SimpleNamespace(fit=SimpleNamespace(values=values))
+    return _remains([share, Share("t", 0.01, 1.0)], final, named, gap, turn)
+
+
+def test_what_is_sure_and_large_remains_in_whatever_view():
+    assert said(Share("history", 0.5, 0.001)).flag
+    assert said(Share("history", 0.5, 0.001), "gravity").flag
+    assert said(Share("history", 0.5, 0.001), "gravity").view == "history"
+
+
+@pytest.mark.parametrize("share", [Share("history", 0.5, 0.02), Share("history", 0.1, 0.001), Share("du", 0.9, 0.001)])
+def test_what_is_unsure_or_small_or_the_sensors_own_does_not(share):
+    assert not said(share).flag
+
+
+def test_what_is_left_of_a_gap_that_was_closed_is_small():
+    closed = Gap(2.0, 0.05, 0.05, "(rad)2")
+    assert not said(Share("history", 0.5, 0.001), "gravity", gap=closed).flag
+    assert said(Share("history", 0.5, 0.001), "gravity").flag
+
+
+def test_a_multiple_of_the_named_wave_is_its_form():
+    for times, flag in ((2, False), (3, False), (2.5, True), (7, True)):
+        assert said(Share("theta x a", 0.9, 0.001, periods=times), "eccentric_encoder").flag is flag, times
+
+
+def test_the_named_wave_itself_is_something_else_on_less_evidence():
+    weak = {"share": 0.4, "p": 0.2, "alone": 0.02}
+    assert said(Share("theta x a", **weak, periods=1.0), "eccentric_encoder").flag
+    assert not said(Share("theta x a", **weak, periods=5.0), "eccentric_encoder").flag
+    assert not said(Share("theta x a", **weak | {"alone": 0.2}, periods=1.0), "eccentric_encoder").flag
+
+
+def test_waves_are_counted_along_the_path_that_a_motion_repeats_after():
+    """2 rad that count as a turn: 7 periods of them are a wave of 7 pi to the radian."""
+    where = {"turn": 2.0, "cogging.periods": 7 * np.pi}
+    assert not said(Share("theta x u", 0.9, 0.001, periods=14.0), "cogging", **where).flag
+    assert said(Share("theta x u", 0.4, 0.2, alone=0.02, periods=7.0), "cogging", **where).flag
+
+
+def test_stretches_that_a_rattling_contact_sends_elsewhere_are_no_news():
+    assert not said(Share(STRETCHES, 0.9, 0.001), "backlash").flag
+    assert said(Share(STRETCHES, 0.9, 0.001), "gravity").flag
