@@ -50,6 +50,48 @@ class Free:
 
 
 @dataclass(frozen=True)
+class Begin:
+    """What the start states of the segments can do: their own least squares, so that parameters are left alone with the rest.
+
+    Attributes
+    ----------
+    by_start : ndarray, shape (segments, bins, 2)
+        Derivatives of the whitened averages.
+    pull : ndarray, shape (segments, 2)
+        Gradient of the log-likelihood, what is known of start states included.
+    inverse : ndarray, shape (segments, 2, 2)
+        Inverse of their curvature.
+
+    Source: golub2003 (elimination of linear unknowns).
+    """
+
+    by_start: Array
+    pull: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, by_start: Array, white: Array, precision: Array, offset: Array) -> Begin:
+        """Return it for a whitened residual (segments, bins); start states are known to lie `offset` from where they are."""
+        turned = by_start.transpose(0, 2, 1)
+        normal = np.matmul(turned, by_start)
+        normal[:, [0, 1], [0, 1]] += precision
+        pull = np.matmul(turned, white[:, :, None])[:, :, 0] + precision * offset
+        return cls(by_start, pull, np.linalg.inv(normal))
+
+    def cross(self, columns: Array) -> Array:
+        """Return the products (segments, 2, k) with whitened columns (segments, bins, k)."""
+        return np.matmul(self.by_start.transpose(0, 2, 1), columns)
+
+    def moves(self, pull: Array) -> Array:
+        """Return the step of the start states (segments, 2) that a gradient (segments, 2) calls for."""
+        return np.matmul(self.inverse, pull[:, :, None])[:, :, 0]
+
+    def freed(self, columns: Array) -> Array:
+        """Return whitened columns (segments, bins, k) less what other start states could do."""
+        return np.asarray(columns - np.matmul(self.by_start, np.matmul(self.inverse, self.cross(columns))))
+
+
+@dataclass(frozen=True)
 class Fit:
     """A servo fitted to segments.
 
@@ -67,8 +109,10 @@ class Fit:
         The same with the start states as they are, for all segments.
     residual : ndarray, shape (segments, bins)
         Measured less simulated averages at the fitted start states.
-    white, by_parameter, by_start : ndarray
-        Whitened residual (segments, bins), its derivatives (segments, bins, free) and (segments, bins, 2).
+    white, by_parameter : ndarray
+        Whitened residual (segments, bins), and its derivatives (segments, bins, free).
+    begin : Begin
+        What the start states can do.
     raw_by_start : ndarray, shape (segments, bins, 2)
         Derivative of the averages by the start states.
     weight : ndarray, shape (segments,)
@@ -89,7 +133,7 @@ class Fit:
     residual: Array
     white: Array
     by_parameter: Array
-    by_start: Array
+    begin: Begin
     raw_by_start: Array
     weight: Array
     information: Array
@@ -102,6 +146,13 @@ class Fit:
     def total(self) -> float:
         """Log-likelihood over the judged segments, with what was known beforehand [nats]."""
         return float(self.score.sum()) + self.prior
+
+    @property
+    def slopes(self) -> Array:
+        """Gradient of each segment's own squares (segments, free), start states following."""
+        after = self.begin.moves(self.begin.pull)
+        own = np.matmul(self.by_parameter.transpose(0, 2, 1), self.white[:, :, None])[:, :, 0]
+        return np.asarray(own - np.einsum("sip,si->sp", self.begin.cross(self.by_parameter), after))
 
 
 @dataclass(frozen=True)
@@ -139,7 +190,7 @@ def rescored(problem: Problem, fit: Fit) -> Fit:
     turn = problem.noise.whiten @ np.linalg.inv(fit.noise.whiten)
     return _scored(
         problem, fit.simulator, fit.free, fit.values, fit.starts, fit.residual, np.matmul(turn, fit.by_parameter),
-        np.matmul(turn, fit.by_start), fit.raw_by_start, fit.good,
+        np.matmul(turn, fit.begin.by_start), fit.raw_by_start, fit.good,
     )  # fmt: skip
 
 
@@ -157,13 +208,10 @@ def _scored(
 ) -> Fit:
     white = residual @ problem.noise.whiten.T
     precision, offset = problem.spread**-2, problem.starts - starts
-    pull = np.einsum("sni,sn->si", by_start, white) + precision * offset
-    turned = by_start.transpose(0, 2, 1)
-    normal = np.matmul(turned, by_start)
-    normal[:, [0, 1], [0, 1]] += precision
-    move = np.linalg.solve(normal, pull[:, :, None])[:, :, 0]
+    begin = Begin.of(by_start, white, precision, offset)
     whole = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
-    misfit = np.where(good, np.maximum(whole - np.einsum("si,si->s", pull, move), 0.0), FAILED)
+    left = np.maximum(whole - np.einsum("si,si->s", begin.pull, begin.moves(begin.pull)), 0.0)
+    misfit = np.where(good, left, FAILED)
     n = white.shape[1] - 2
     score, here = (
         -0.5 * (FREEDOM + n) * np.log1p(each / FREEDOM) - 0.5 * problem.noise.log_det
@@ -171,12 +219,10 @@ def _scored(
     )
     score = np.where(problem.judged, score, 0.0)
     weight = np.where(problem.judged & good, (FREEDOM + n) / (FREEDOM + misfit), 0.0)
-    cross = np.matmul(turned, by_parameter)
-    own = np.matmul(by_parameter.transpose(0, 2, 1), by_parameter)
-    information = np.tensordot(weight, own - np.matmul(cross.transpose(0, 2, 1), np.linalg.solve(normal, cross)), 1)
+    information = np.tensordot(weight, np.matmul(by_parameter.transpose(0, 2, 1), begin.freed(by_parameter)), 1)
     prior, curve = _knowledge(free, values)
     return Fit(
-        values, free, starts, score, here, residual, white, by_parameter, by_start, raw_by_start, weight,
+        values, free, starts, score, here, residual, white, by_parameter, begin, raw_by_start, weight,
         information + np.diag(curve), simulator, good, problem.noise, prior,
     )  # fmt: skip
 
@@ -191,17 +237,9 @@ def _knowledge(free: tuple[Free, ...], values: Mapping[str, float]) -> tuple[flo
     return -0.5 * float(np.square(known).sum()), curve
 
 
-def _direction(problem: Problem, fit: Fit, damping: float) -> tuple[Array, Array, float]:
+def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
     """Return the step of the parameters, of the start states, and the gain it promises."""
-    precision, offset = problem.spread**-2, problem.starts - fit.starts
-    pull = np.einsum("sni,sn->si", fit.by_start, fit.white) + precision * offset
-    normal = np.einsum("sni,snj->sij", fit.by_start, fit.by_start)
-    normal[:, [0, 1], [0, 1]] += precision
-    cross = np.einsum("sni,snp->sip", fit.by_start, fit.by_parameter)
-    slope = np.einsum("snp,sn->sp", fit.by_parameter, fit.white) - np.einsum(
-        "sip,si->sp", cross, np.linalg.solve(normal, pull[:, :, None])[:, :, 0]
-    )
-    gradient = fit.weight @ slope
+    gradient = fit.weight @ fit.slopes
     for i, f in enumerate(fit.free):
         if f.nominal is not None:
             gradient[i] += (f.nominal - _place(f, fit.values[f.name])) / f.doubt**2
@@ -220,13 +258,13 @@ def _direction(problem: Problem, fit: Fit, damping: float) -> tuple[Array, Array
             break
         active[leaving] = False
     promise = float(gradient @ step - 0.5 * step @ fit.information @ step)
-    back = np.linalg.solve(normal, (pull - np.einsum("sip,p->si", cross, step))[:, :, None])[:, :, 0]
+    back = fit.begin.moves(fit.begin.pull - fit.begin.cross(fit.by_parameter) @ step)
     return step, back, promise
 
 
 def promise(problem: Problem, fit: Fit) -> float:
     """Return the gain that a step from here promises [nats]."""
-    return _direction(problem, fit, problem.damping)[2]
+    return _direction(fit, problem.damping)[2]
 
 
 def moved(free: tuple[Free, ...], values: Mapping[str, float], step: Array) -> dict[str, float]:
@@ -260,7 +298,7 @@ def refit(
     fit, damping = first or evaluate(problem, simulator, free, begin, starts), problem.damping
     trust, limit, failed = np.ones(len(starts)), 4 * problem.spread, 0
     for _ in range(iterations):
-        step, back, promise = _direction(problem, fit, damping)
+        step, back, promise = _direction(fit, damping)
         around = np.clip(fit.starts + trust[:, None] * back, problem.starts - limit, problem.starts + limit)
         trial = evaluate(problem, simulator, free, moved(free, fit.values, step), around)
         gain = float((trial.here - fit.here)[problem.judged].sum()) + trial.prior - fit.prior

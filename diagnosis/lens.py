@@ -58,22 +58,12 @@ class Lens:
         self._seen = problem.noise.whiten @ self._pulses
         self._cover, self._starts = np.linalg.inv(problem.noise.whiten), fit.raw_by_start
         self.weight = fit.weight
-        prior = problem.spread**-2
-        normal = np.einsum("sni,snj->sij", fit.by_start, fit.by_start)
-        normal[:, [0, 1], [0, 1]] += prior
-        # symmetric projector that takes the start states out of whitened averages
-        self._gain = np.linalg.inv(normal)
-        self._by_start = fit.by_start
+        self.freed = fit.begin.freed
         self.model = self.freed(fit.by_parameter)
         self.rest = self.freed(fit.white[:, :, None])[:, :, 0]
         weighted = self.model * fit.weight[:, None, None]
         own = np.einsum("snp,snq->pq", weighted, self.model)
         self._own = np.linalg.pinv(own, rcond=1e-12)
-
-    def freed(self, columns: Array) -> Array:
-        """Return whitened columns (segments, bins, k) less what other start states could do."""
-        cross = np.matmul(self._by_start.transpose(0, 2, 1), columns)
-        return np.asarray(columns - np.matmul(self._by_start, np.matmul(self._gain, cross)))
 
     def plain(self, columns: Array, which: NDArray[np.int_]) -> Array:
         """Return whitened columns (segments, bins, k) of some segments as averages [output], start states at their best."""

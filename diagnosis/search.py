@@ -44,8 +44,9 @@ RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is 
 DOUBTLESS = 10.0  # times the null's level
 MARK = 3.0  # nats: what one segment may say about it
 RATIO = 3.3  # nats that a further parameter must gain
-LOSS = 8.0  # nats that segments kept from the search may lose by chance,
-SHOWN, CEDED = 0.025, 0.05  # and shares of the gain that they must show of it, or may lose to an effect that lives elsewhere
+LOSS, SHOWN = 11.0, 0.1  # nats that segments kept from the search may lose by chance; share of the gain that they must show,
+ENOUGH, RATTLE = 8.0, 3.0  # of which so many nats are enough, or so many where contacts go another way in each run
+CEDED = 0.1  # share of the gain that they may lose to an effect that lives elsewhere
 HELD = 4  # every fourth segment is kept from the search
 
 
@@ -282,16 +283,17 @@ def _tested(bench: Bench, held: Problem, plain: Fit, candidate: Candidate, level
     beyond doubt is judged by the typical segment then, if the segments kept from the search fall as much.
     """
     assert candidate.fit is not None
-    local = find_effect(candidate.name).local
+    effect = find_effect(candidate.name)
     new, old = (begun_well(held, f) for f in (candidate.fit, plain))
     kept = float(np.clip(new.score - old.score, -MARK, MARK).sum())
     found = max(candidate.gain_over(plain), 0.0)
     before, after = squares(plain, bench.train), squares(candidate.fit, bench.train)
-    size = whole = fall(before, after, local)
+    size = whole = fall(before, after, effect.local)
     if found > DOUBTLESS * level:
         kept_too = typical_fall(squares(old, held.judged), squares(new, held.judged))
         size = max(size, min(typical_fall(before, after), kept_too))
-    least = -LOSS - CEDED * found if local else min(SHOWN * found - LOSS, MARK)
+    shown = min(SHOWN * found - LOSS, RATTLE if effect.rugged else ENOUGH)
+    least = -LOSS - CEDED * found if effect.local else shown
     return Test(whole, kept, size >= SIZE, kept > least)
 
 

@@ -321,19 +321,12 @@ def _whole(bench: Bench, stage: Stage) -> Fit:
     return resume(problem, stage.fit)
 
 
-def covariance(problem_fit: Fit) -> Array:
+def covariance(fit: Fit) -> Array:
     """Return the covariance of the free parameters (free, free), on the scale each moves on.
 
     The spread of the segments' own scores stands for the noise. Source: white1982 (sandwich).
     """
-    fit = problem_fit
-    normal = np.einsum("sni,snj->sij", fit.by_start, fit.by_start)
-    normal[:, [0, 1], [0, 1]] += 1e-12 + 1e-9 * normal[:, [0, 1], [0, 1]]
-    cross = np.einsum("sni,snp->sip", fit.by_start, fit.by_parameter)
-    pull = np.einsum("sni,sn->si", fit.by_start, fit.white)
-    slope = np.einsum("snp,sn->sp", fit.by_parameter, fit.white)
-    slope -= np.einsum("sip,si->sp", cross, np.linalg.solve(normal, pull[:, :, None])[:, :, 0])
-    scores = slope * fit.weight[:, None]
+    scores = fit.slopes * fit.weight[:, None]
     inverse = np.linalg.pinv(fit.information, rcond=1e-14, hermitian=True)
     n = max(int(np.count_nonzero(fit.weight)) - len(fit.free), 1)
     return np.asarray(inverse @ (scores.T @ scores) @ inverse * (n + len(fit.free)) / n)
