@@ -33,7 +33,7 @@ from bristle.plant.servo import servo
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 12
+ITERATIONS, FIRST = 12, 4  # steps of a fit; of one that only compares starts
 SETTLE = 2  # times that noise and parameters are estimated in turn
 DAMPING = 1e-3
 SEEN = ("theta", "v", "u", "time")
@@ -160,14 +160,16 @@ class Balance:
         a, _ = self._along(law, effects, (), values)
         return np.asarray(self._seen - (a.reshape(self.shape) * self._moving) @ self._pulses.T)
 
-    def fit(self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]) -> Found:
+    def fit(
+        self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float], steps: int = ITERATIONS
+    ) -> Found:
         """Return the parameters in their intervals that balance the torques best, from given values.
 
         Levenberg-Marquardt; segments have a t distribution, as in the simulation.
         """
         best = self._at(law, effects, free, {**values, **{f.name: f.inside(values[f.name]) for f in free}})
         damping = DAMPING
-        for _ in range(ITERATIONS):
+        for _ in range(steps):
             found, slopes = best
             normal = np.einsum("s,snp,snq->pq", found.weight, slopes, slopes, optimize=True)
             pull = np.einsum("s,snp,sn->p", found.weight, slopes, found.residual, optimize=True)
@@ -277,7 +279,7 @@ class Joint:
                 for start in starts(name, self._evidence(balance, base)):
                     free = (*self._free, *freedom(name, start, self._servo.limits))
                     values = {**defaults, **base.values, **{f"{name}.{k}": v for k, v in start.items()}}
-                    trials.append((balance.fit(law, effects, free, values), free, start))
+                    trials.append((balance.fit(law, effects, free, values, FIRST), free, start))
                 trials.sort(key=lambda trial: -trial[0].total)
                 for best, free, start in trials[:FINALISTS]:
                     _, best = self._settled(balance, effects, free, best)

@@ -22,8 +22,9 @@ Start = tuple[Mapping[str, float], Mapping[str, float]]  # all parameters; those
 
 FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
 FINALISTS, STEPS = 2, 2  # starts from which steps are taken, and their number
-TRIES = 24  # values of a rugged effect that are tried around where it stands,
+TRIES = 6  # values for each parameter of a rugged effect that are tried around where it stands,
 SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread by such factors, round by round,
+NEAR = 300.0  # nats below the model without it: from there on, a contact is not tried around its starts
 BETTER = 5.0  # as long as that gains so many nats
 LIMITS = {  # closer than what can be simulated: what a servo may have
     "stribeck.excess": (0.0, 100.0),
@@ -199,10 +200,15 @@ def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
     return fit.total + promise(problem, fit), fit
 
 
-def advance(candidate: Candidate, quiet: Callable[[Fit], Problem]) -> Candidate:
-    """Take steps from each of the most promising starts and stand at the better end."""
-    ends = [_worth(_refitted(t, quiet, STEPS), quiet) for t in (candidate.fit, *candidate.rivals) if t]
+def advance(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Callable[[Fit], Problem], least: float) -> Candidate:
+    """Take steps from each of the most promising starts and stand at the better end; one start does where none promises much."""
+    several = candidate.rivals if candidate.promised > least else ()
+    ends = [_worth(_refitted(t, quiet, STEPS), quiet) for t in (candidate.fit, *several) if t]
     promised, fit = max(ends, key=lambda end: end[0])
+    effect = find_effect(candidate.name)
+    if effect.coupling and effect.rugged and promised > least - NEAR:  # contacts: hardly a start is near enough
+        around = scanned(fit, left_by, (candidate.name,), SPREADS[:1])
+        promised, fit = max((promised, fit), _worth(around, quiet), key=lambda end: end[0])
     return replace(candidate, fit=fit, promised=promised, rivals=())
 
 
@@ -214,19 +220,22 @@ def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Calla
     return replace(candidate, fit=rescored(quiet(fit), fit))
 
 
-def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str]) -> Fit:
+def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str], spreads: Sequence[float] = SPREADS) -> Fit:
     """Refit from the best of values around where a fit stands, as long as that helps, for the effects that need it.
 
     What switches, such as a contact, does so at other times as soon as a parameter moves: the likelihood has many small
     maxima, at which steps along derivatives end.
     """
     own = [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
+    if not own:
+        return fit
+    times = {p.name for name in effects for p in find_effect(name).parameters if p.unit == "s" and p.minimum < 0}
     rng = np.random.default_rng(1)
-    for spread in SPREADS if own else ():
+    for spread in spreads:
         problem = quiet(fit)
         fit = best = rescored(problem, fit)
-        for step in spread * rng.standard_normal((TRIES, len(own))):
-            near = {f.name: f.inside(best.values[f.name] * float(np.exp(d))) for f, d in zip(own, step, strict=True)}
+        for step in spread * rng.standard_normal((TRIES * len(own), len(own))):
+            near = {f.name: f.inside(_beside(best.values[f.name], d, f.name in times)) for f, d in zip(own, step, strict=True)}
             trial = evaluate(problem, fit.simulator, fit.free, {**best.values, **near}, best.starts)
             best = max((best, trial), key=lambda each: each.total)
         new = max((best, rescored(problem, _refitted(best, quiet, ITERATIONS))), key=lambda each: each.total)
@@ -239,6 +248,11 @@ def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str]) -
 def _refitted(fit: Fit, quiet: Callable[[Fit], Problem], iterations: int) -> Fit:
     done = resume(quiet(fit), fit, iterations, ROUGH)
     return rescored(quiet(done), done)
+
+
+def _beside(value: float, step: float, time: bool) -> float:
+    """Return a value some way off: a moment by so many seconds, anything else by a factor."""
+    return value + step if time else value * float(np.exp(step))
 
 
 def follow(problem: Problem, candidate: Candidate) -> Candidate:

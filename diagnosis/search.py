@@ -206,7 +206,7 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tupl
         )  # fmt: skip
     if not any(c.fit for c in tried):
         return tried, Null(np.zeros(1), {})
-    tried = [advance(c, quiet) if c.fit else c for c in tried]
+    tried = [advance(c, quiet, bench.left_by, fit.total) if c.fit else c for c in tried]
     null = _null(stage.problem, lens, fit, tried)
     hopeful = [c for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)]
     if not hopeful:
@@ -304,7 +304,7 @@ def _tested(bench: Bench, held: Problem, plain: Fit, candidate: Candidate, level
     if found > DOUBTLESS * level:
         kept_too = typical_fall(squares(old, held.judged), squares(new, held.judged))
         size = max(size, min(typical_fall(before, after), kept_too))
-    shown = min(SHOWN * found - LOSS, RATTLE if effect.rugged else ENOUGH)
+    shown = min(SHOWN * found - LOSS, RATTLE if effect.coupling else ENOUGH)
     least = -LOSS - CEDED * found if effect.local else shown
     return Test(whole, kept, size >= SIZE, kept > least)
 
@@ -334,7 +334,7 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     rigid = stage.servo.rigid and best.name not in ELASTIC
     servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
     problem = bench.left_by(best.fit)
-    fit = scanned(resume(problem, best.fit, LONG), bench.left_by, stage.servo.effects)  # what was added before
+    fit = scanned(resume(problem, best.fit, LONG), bench.left_by, servo.effects)
     problem = bench.left_by(fit)
     return Stage(servo, problem, resume(problem, fit))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
+from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle, scanned
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, Free, evaluate, resume
 from bristle.diagnosis.intake import Record
@@ -26,10 +26,12 @@ from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import MEASURED, ONCE, STRETCHES, Share, appearances, periods_of, residual_map
 from bristle.model.errors import BristleError
 from bristle.plant.effects import effect as find_effect
+from bristle.plant.effects import effects as all_effects
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
+WIDER, WIDER_AT_EDGES = 2.0, 5.0  # than what the spread of scores gives for an interval
 SHORTEST = 0.1  # s: in less, friction and inertia hardly show
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
@@ -318,7 +320,7 @@ def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
 def _whole(bench: Bench, stage: Stage) -> Fit:
     """Return the servo fitted to all segments, those kept from the search included."""
     problem = stage.problem.only(bench.segments.judged)
-    return resume(problem, stage.fit)
+    return scanned(resume(problem, stage.fit), lambda fit: problem, stage.servo.effects)
 
 
 def covariance(fit: Fit) -> Array:
@@ -333,16 +335,23 @@ def covariance(fit: Fit) -> Array:
 
 
 def estimates(model: Model, fit: Fit) -> dict[str, answer.Estimate]:
-    """Return the free parameters with their 95 % intervals."""
-    spread = 1.96 * np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
+    """Return the free parameters with their 95 % intervals, as wide as development records showed that they must be."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
     found = {}
-    for f, wide in zip(fit.free, spread, strict=True):
+    for f, each in zip(fit.free, deviation, strict=True):
+        wide = 1.96 * (WIDER_AT_EDGES if _has_edges(f.name) else WIDER) * each
         if f.nominal is not None and f.name.startswith(f"{RIGID}."):
             continue
         value = fit.values[f.name]
         low, high = (value * math.exp(-wide), value * math.exp(min(wide, 50.0))) if f.factor else (value - wide, value + wide)
         found[f.name] = answer.Estimate(value, model.unit(f.name), (low, high), f.stuck(value))
     return found
+
+
+def _has_edges(parameter: str) -> bool:
+    """True for parameters of effects that begin at a place or a level: the likelihood is no parabola there."""
+    name = parameter.split(".")[0]
+    return name in all_effects() and (find_effect(name).local or find_effect(name).rugged)
 
 
 def _views(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, ...], list[Share]]:
@@ -375,7 +384,7 @@ def _remains(after: list[Share], final: Stage, named: Sequence[str], gap: answer
     What repeats as a multiple of a named wave is its form. What repeats as the wave itself, which was free to take it up,
     is something else, and evidence in that view alone is enough.
     """
-    rattles = any(find_effect(name).rugged for name in named)  # no two runs of a contact agree in each stretch
+    rattles = any(find_effect(name).coupling for name in named)  # no two runs of a loose load agree in each stretch
     seen = [share for share in after if share.view not in MEASURED and not (rattles and share.view == STRETCHES)]
     own = {view for name in named for view in appearances(name)}
     waves = [periods for name in named if (periods := periods_of(name, final.fit.values, turn)) is not None]

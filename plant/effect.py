@@ -118,7 +118,7 @@ class Effect:
     local : bool
         True if it only acts beyond a limit, so that it may show in a few stretches of a record.
     rugged : bool
-        True if it switches so often that a fit along derivatives ends at one of many small maxima.
+        True if it switches, so that a fit along derivatives ends at one of many small maxima.
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
     states, rates : tuple of State, function

@@ -26,11 +26,21 @@ from typing import Any
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: one thread a worker
     os.environ[variable] = "1"
 
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
 from cases import SELECTIONS, Spec, draw, plan, seal, write  # noqa: E402
+from page import put  # noqa: E402
 from score import tables  # noqa: E402
 from truth import library  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
+ABOUT = """## How often it is wrong
+
+`scripts/blind` draws cases with a hidden effect by a code of its own (another integrator, another formulation of friction,
+half of the effects in another form of the same physics), seeded by the hash of the commit that it tests; diagnoses them; and
+scores what was said against sealed answers. A commit is tested once and the first run counts. Further tables, by effect, by
+gap ratio and by parameter, are in [benchmarks/results/blind.md](../benchmarks/results/blind.md).
+"""
 PUBLISHED = ROOT / "benchmarks" / "results" / "blind.md"
 
 
@@ -40,8 +50,8 @@ def generate_one(commit: str, spec: Spec, out: Path) -> None:
 
 
 def diagnose_one(folder: Path, target: Path) -> None:
-    """Diagnose one case as a user would and write the result; a failure is a result too."""
-    begun = time.perf_counter()
+    """Diagnose one case as a user would and write the result; a failure is a result too. Its time is that of one core."""
+    begun = time.process_time()
     try:
         from bristle.diagnosis import diagnose, load_model, load_records
 
@@ -51,7 +61,7 @@ def diagnose_one(folder: Path, target: Path) -> None:
         raise
     except Exception as error:
         result = {"verdict": "error", "error": f"{type(error).__name__}: {error}", "effects": [], "ties": []}
-    result["seconds"] = time.perf_counter() - begun
+    result["seconds"] = time.process_time() - begun
     target.parent.mkdir(exist_ok=True)
     draft = target.with_suffix(".part")
     draft.write_text(json.dumps(result), encoding="utf-8")
@@ -100,24 +110,25 @@ def check_seal(out: Path) -> None:
 
 
 def diagnose_all(out: Path, jobs: int) -> None:
-    """Diagnose the cases without a result."""
+    """Diagnose the cases without a result, in an order that makes those done at any time a fair sample."""
     if not (out / "answers.sha256").exists():
         raise SystemExit("the answers are not sealed yet; run generate to its end")
-    folders = [f for f in sorted((out / "cases").iterdir()) if not (out / "results" / f"{f.name}.json").exists()]
+    order = sorted((out / "cases").iterdir(), key=lambda f: hashlib.sha256(f.name.encode()).hexdigest())
+    folders = [f for f in order if not (out / "results" / f"{f.name}.json").exists()]
     _work(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in folders], jobs, "diagnose")
 
 
-def score_all(out: Path) -> str:
-    """Score what has been diagnosed; write score.md and score.json; return the markdown."""
+def score_all(out: Path) -> tuple[str, str]:
+    """Score what has been diagnosed; write score.md and score.json; return the figures and the other tables as markdown."""
     check_seal(out)
     pairs = []
     for path in sorted((out / "results").glob("*.json")):
         answer = json.loads((out / "answers" / path.name).read_text(encoding="utf-8"))
         pairs.append((answer, json.loads(path.read_text(encoding="utf-8"))))
-    markdown, figures = tables(pairs)
-    (out / "score.md").write_text(markdown, encoding="utf-8")
-    (out / "score.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
-    return markdown
+    figures, others, data = tables(pairs)
+    (out / "score.md").write_text(f"{figures}\n\n{others}", encoding="utf-8")
+    (out / "score.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+    return figures, others
 
 
 def _git(*arguments: str) -> str:
@@ -125,7 +136,7 @@ def _git(*arguments: str) -> str:
 
 
 def publish(out: Path | None, jobs: int, scale: float) -> None:
-    """Run all three steps with the commit's hash as seed; the tables go to benchmarks/results/blind.md."""
+    """Run all three steps with the commit's hash as seed; tables go to benchmarks/results/blind.md, figures to the docs."""
     if changed := _git("status", "--porcelain"):
         raise SystemExit(f"the tree has changes; commit them first, the seeds come from the commit's hash:\n{changed}")
     commit = _git("rev-parse", "HEAD")
@@ -133,8 +144,10 @@ def publish(out: Path | None, jobs: int, scale: float) -> None:
     generate(commit, out, scale, jobs, ())
     seal_line = hashlib.sha256((out / "answers.sha256").read_bytes()).hexdigest()
     diagnose_all(out, jobs)
-    head = f"Commit {commit}, which seeds every case; sha256 of the sealed answers' list: {seal_line}.\n\n"
-    PUBLISHED.write_text("# Blind test\n\n" + head + score_all(out), encoding="utf-8")
+    head = f"Commit {commit}, which seeds every case; sha256 of the sealed answers' list: {seal_line}.\n"
+    figures, others = score_all(out)
+    PUBLISHED.write_text(f"# Blind test\n\n{head}\n{figures}\n\n{others}", encoding="utf-8")
+    put("blind test", "scripts/blind", f"{ABOUT}\n{head}\n{figures}")
     print(PUBLISHED.read_text(encoding="utf-8"))
 
 
@@ -158,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif a.command == "diagnose":
         diagnose_all(a.out, a.jobs)
     elif a.command == "score":
-        print(score_all(a.out))
+        print("\n\n".join(score_all(a.out)))
     else:
         publish(a.out, a.jobs, a.scale)
 

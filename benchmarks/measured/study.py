@@ -16,15 +16,15 @@ from pathlib import Path
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy
     os.environ[variable] = "1"
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
 import draw  # noqa: E402
 from cases import FOLDERS, Run  # noqa: E402
+from page import put  # noqa: E402
 from records import ROOT as DATA  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
-IMAGES, PAGE, RESULTS = ROOT / "docs" / "images", ROOT / "docs" / "diagnosis.md", ROOT / "benchmarks" / "results" / "measured.md"
-BEGIN, END = "<!-- measured data: written by benchmarks/measured/study.py -->", "<!-- end of measured data -->"
+IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "benchmarks" / "results" / "measured.md"
 HEAD = """## Measured data
 
 `python benchmarks/measured/study.py`: each set is diagnosed from a rough model, with the bounds of a model file that gives none.
@@ -72,13 +72,6 @@ def section(folder: str, runs: Sequence[Run], image: str) -> list[str]:
     return [f"### {title}", "", ABOUT[folder], "", f"![{title}]({image})", "", *body, ""]
 
 
-def into(page: str, text: str) -> str:
-    """Return a page with the section between its marks replaced, or put at its end."""
-    if BEGIN in page and END in page:
-        return page[: page.index(BEGIN)] + text + page[page.index(END) + len(END) + 1 :]
-    return page.rstrip("\n") + "\n\n" + text if page else "# Diagnosis\n\n" + text
-
-
 def main(folders: Sequence[str]) -> int:
     """Diagnose the data sets that are there."""
     chosen, said, runs, complete = folders or list(FOLDERS), [], [], True
@@ -98,8 +91,7 @@ def main(folders: Sequence[str]) -> int:
         print(text)
         return 0
     RESULTS.write_text("# Measured data\n\n" + "\n".join(table(runs)) + "\n", encoding="utf-8")
-    page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
-    PAGE.write_text(into(page, f"{BEGIN}\n{text.rstrip()}\n\n{END}\n"), encoding="utf-8")
+    put("measured data", "benchmarks/measured/study.py", text)
     return 0
 
 

@@ -140,7 +140,8 @@ def test_waves_are_compared_up_to_sign_and_turn() -> None:
 
 
 def test_tables_are_complete() -> None:
-    markdown, data = tables(perfect())
+    head, markdown, data = tables(perfect())
+    assert "| figure | value |" in head
     assert data["cases"] == len(perfect())
     for head in ("Outcomes", "By gap ratio", "By effect", "Controls", "Outside the catalogue", "Confusion", "Parameters"):
         assert f"## {head}" in markdown
@@ -148,7 +149,7 @@ def test_tables_are_complete() -> None:
 
 
 def test_an_empty_run_has_tables_too() -> None:
-    assert tables([])[1]["cases"] == 0
+    assert tables([])[2]["cases"] == 0
 
 
 def test_a_changed_answer_breaks_the_seal(tmp_path: Path) -> None:
