@@ -80,11 +80,11 @@ class Begin:
 
     def cross(self, columns: Array) -> Array:
         """Return the products (segments, 2, k) with whitened columns (segments, bins, k)."""
-        return np.matmul(self.by_start.transpose(0, 2, 1), columns)
+        return np.asarray(np.matmul(self.by_start.transpose(0, 2, 1), columns))
 
     def moves(self, pull: Array) -> Array:
         """Return the step of the start states (segments, 2) that a gradient (segments, 2) calls for."""
-        return np.matmul(self.inverse, pull[:, :, None])[:, :, 0]
+        return np.asarray(np.matmul(self.inverse, pull[:, :, None])[:, :, 0])
 
     def freed(self, columns: Array) -> Array:
         """Return whitened columns (segments, bins, k) less what other start states could do."""

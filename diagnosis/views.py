@@ -128,7 +128,7 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
     frequency = np.fft.rfftfreq(size, step)
     power = np.abs(np.fft.rfft(even, size)) * ((frequency >= TONES[0]) & (frequency <= TONES[1]))
     tone = float(frequency[int(np.argmax(power))])
-    found = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz", None)}
+    found: dict[str, tuple[Array, str, float | None]] = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz", None)}
     turns = np.arange(1.0, PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)
