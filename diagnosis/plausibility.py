@@ -277,7 +277,10 @@ def _factor(model: Model, nominal: Array, value: Array, error: Array) -> str | N
     hint = f"has it to do with {text}, or is a gear ratio missing" if near < math.log(2.0) else "is a gear ratio or a scale missing"
     other = "".join(f", or {_size(model, cause, size)}" for _, cause, size in others if abs(size) > math.log(APART[0]))
     where = f"check the unit '{column.unit}' of column '{column.column}'"
-    return f"{_size(model, cause, size)}{other}: against the nominal values {ratios}; {where}: {hint}?"
+    rotor = ""
+    if cause == "output" and "a2" not in names:  # the inertia alone: whoever fitted the friction to such data has its unit in it
+        rotor = f"; or is the {model.input_kind} that of a rotor ahead of a gear, and J that of the load behind it?"
+    return f"{_size(model, cause, size)}{other}: against the nominal values {ratios}; {where}: {hint}?{rotor}"
 
 
 def _size(model: Model, cause: str, size: float) -> str:

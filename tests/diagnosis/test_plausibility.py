@@ -115,6 +115,17 @@ def test_a_common_factor_beyond_tight_bounds_is_a_finding(positions, tree):
     assert said(Model.from_dict(tree), positions["bias"]).findings == ()
 
 
+def test_an_inertia_that_alone_is_far_off_may_lie_behind_a_gear(positions, tree):
+    """The friction was fitted to such data, the inertia of the load was weighed: a law without viscous friction shows no third."""
+    tree["parameters"], tree["bounds"] = {"J": 0.08, "a2": 0.0, "Fc": 0.12}, {}
+    [line] = said(Model.from_dict(tree), positions["bias"]).proposals
+    assert "position looks a factor" in line
+    assert "rotor ahead of a gear" in line
+    tree["parameters"] = {"J": 0.08, "a2": 0.16, "Fc": 0.12}
+    [line] = said(Model.from_dict(tree), positions["bias"]).proposals
+    assert "rotor" not in line
+
+
 def test_without_motion_it_says_so(model):
     t = np.arange(6000) * 1e-3
     y = np.where(t > 5.95, 0.1 * (t - 5.95), 0.0)
