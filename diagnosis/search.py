@@ -36,7 +36,9 @@ MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.15  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
-PLAIN, MORE, ALSO = 3.0, 1.4, 0.4  # a further effect: lowers the error so, or so and gains this share of the first one
+PLAIN, PLAIN_LOCAL = 3.0, 1.8  # a further effect lowers the error so, or so if it shows in few segments only,
+AGAIN, MUCH, MORE, ALSO = 15.0, 1.5, 1.4, 0.4  # or gains so many nats on segments kept from the search and lowers the error
+# so, or so if it gains this share of the first one
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
@@ -135,6 +137,7 @@ class Verdict:
     decision: str
     named: bool = False
     finer: float | None = None  # gain with finer steps of the simulation
+    kept: float = 0.0  # gain on segments kept from the search
     large: bool = False  # enough to matter
     proven: bool = False  # on segments kept from the search
     withdrawn: bool = False  # named, but something remained on records of a uniform motion
@@ -236,7 +239,7 @@ def _judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Sequ
     assert leader.fit is not None
     return Verdict(
         tuple(({c.name: c for c in tried} | told).values()), null, plain.total, leader, gain, test.fall, ties, "",
-        large=test.large, proven=test.proven, finer=finer_gain(problem, plain, leader.fit),
+        kept=test.kept, large=test.large, proven=test.proven, finer=finer_gain(problem, plain, leader.fit),
     )  # fmt: skip
 
 
@@ -390,6 +393,17 @@ def suspicious(stage: Stage, bench: Bench, verdict: Verdict, taken: set[str]) ->
     return False
 
 
+def _worth_adding(verdict: Verdict, first: float) -> bool:
+    """True if a further effect is more than a mend of the form of what was added; `first` is the gain of the first [nats].
+
+    Another effect lowers much of what is left, on segments kept from the search too; what mends a form does so in places.
+    """
+    if verdict.size >= PLAIN or (verdict.size >= PLAIN_LOCAL and verdict.best and find_effect(verdict.best.name).local):
+        return True
+    least = MORE if verdict.gain >= ALSO * first else MUCH
+    return verdict.size >= least and verdict.kept >= AGAIN
+
+
 def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]:
     """Add effects one after the other as long as one is found that is certain and large enough."""
     stage, rounds = base, []
@@ -405,8 +419,7 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
             small = "of no help on segments kept from the search" if verdict.large else "certain but small"
             rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}", ties=())
             break
-        worth = verdict.size >= PLAIN or (verdict.size >= MORE and verdict.gain >= ALSO * rounds[0].gain)
-        if stage is not base and not worth:
+        if stage is not base and not _worth_adding(verdict, rounds[0].gain):
             mends = f"'{verdict.best.name}' may only mend the form of what was added"
             rounds[-1] = replace(verdict, decision=mends, ties=())
             break

@@ -50,7 +50,7 @@ class Share:
 def appearances(name: str) -> set[str]:
     """Return the views in which an effect shows, in its own form or in one that is close to it."""
     effect = find_effect(name)
-    kin = {"u": ("u", "u x direction", "v x u"), "history": ("history", STRETCHES), "frequency": ("tone",)}
+    kin = {"u": ("u", "u x direction", "v x u"), "history": ("history", STRETCHES, "u x direction"), "frequency": ("tone",)}
     found = {view for own in effect.residual for view in kin.get(own, (own,))}
     return found | {STRETCHES} if effect.local else found
 

@@ -36,7 +36,8 @@ SHORTEST = 0.1  # s: in less, friction and inertia hardly show
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 LEFT = 0.15  # share of the squared error that a view must explain before something is said to remain
-CERTAIN = 0.01
+CERTAIN = 0.03
+VAIN = 1.0  # of the error before: a name that leaves more on the stretches kept from the search is not the whole story
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
 ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there
@@ -389,6 +390,8 @@ def _remains(after: list[Share], final: Stage, named: Sequence[str], gap: answer
     own = {view for name in named for view in appearances(name)}
     waves = [periods for name in named if (periods := periods_of(name, final.fit.values, turn)) is not None]
     left = gap.after / gap.before if named and gap.before > 0 else 1.0
+    if named and left > VAIN and not rattles and not any(find_effect(name).local for name in named):
+        return answer.Remains(True, seen[0].view, seen[0].share)
     certain = []
     for share in seen:
         times = [share.periods / wave for wave in waves] if share.periods else []
