@@ -39,7 +39,7 @@ def test_what_is_left_of_a_gap_that_was_closed_is_small():
 
 
 def test_a_name_that_does_not_lower_the_error_elsewhere_is_not_the_whole_story():
-    vain = Gap(2.0, 1.95, 0.1, "(rad)2")
+    vain = Gap(2.0, 2.1, 0.1, "(rad)2")
     assert said(Share("history", 0.1, 0.5), "gravity", gap=vain).flag
     assert not said(Share("history", 0.1, 0.5), "saturation", gap=vain).flag  # may show in none of those stretches
     assert not said(Share("history", 0.1, 0.5), gap=vain).flag
