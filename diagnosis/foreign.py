@@ -23,10 +23,11 @@ from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import check
-from bristle.diagnosis.search import Bench, settle_well
+from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap
+from bristle.diagnosis.search import Bench, Tell, settle_well
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.workflow import Tell, base_of, bench_of, examine, mend_first, nominal_gap
+from bristle.diagnosis.workflow import examine, mend_first
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.model.errors import BristleError

@@ -14,9 +14,9 @@ from scipy.optimize import least_squares
 
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
 from bristle.diagnosis.plausibility import check
+from bristle.diagnosis.prepare import base_of, bench_of
 from bristle.diagnosis.search import settle
 from bristle.diagnosis.segments import smooth
-from bristle.diagnosis.workflow import base_of, bench_of
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 

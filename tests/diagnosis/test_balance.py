@@ -10,7 +10,8 @@ import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.numerics import steady
-from bristle.diagnosis.workflow import base_of, bench_of, limits, settle
+from bristle.diagnosis.prepare import base_of, bench_of, limits
+from bristle.diagnosis.search import settle
 
 
 @pytest.fixture(scope="module")

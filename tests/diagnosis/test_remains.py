@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
+from bristle.diagnosis.remains import remains
 from bristle.diagnosis.result import Gap
 from bristle.diagnosis.views import STRETCHES, Share
-from bristle.diagnosis.workflow import _remains
 
 TURN = 2 * np.pi
 HALF = Gap(2.0, 1.0, 0.1, "(rad)2")  # an effect was named that left half of the error
@@ -17,8 +15,7 @@ HALF = Gap(2.0, 1.0, 0.1, "(rad)2")  # an effect was named that left half of the
 
 def said(share, *named, gap=HALF, turn=TURN, **values):
     """What remains of a residual in which one view shows."""
-    final = SimpleNamespace(fit=SimpleNamespace(values=values))
-    return _remains([share, Share("t", 0.01, 1.0)], final, named, gap, turn)
+    return remains([share, Share("t", 0.01, 1.0)], values, named, gap, turn)
 
 
 def test_what_is_sure_and_large_remains_in_whatever_view():

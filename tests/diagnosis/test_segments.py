@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.candidates import RIGID, Servo
+from bristle.diagnosis.prepare import fixed_values
 from bristle.diagnosis.segments import Segments, Simulator, cut, smooth
-from bristle.diagnosis.workflow import fixed_values
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 

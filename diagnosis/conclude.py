@@ -1,0 +1,173 @@
+"""After the search: what was found, as a `Diagnosis`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bristle.diagnosis import result as answer
+from bristle.diagnosis import story
+from bristle.diagnosis.candidates import scanned
+from bristle.diagnosis.excitation import excitation
+from bristle.diagnosis.fit import Fit, evaluate, resume
+from bristle.diagnosis.intake import Record
+from bristle.diagnosis.intervals import estimates
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.remains import remains
+from bristle.diagnosis.search import Bench, Stage, Verdict, group, views_of
+from bristle.diagnosis.size import mean_square
+from bristle.diagnosis.views import Share, residual_map
+
+MAPS = 6  # views whose residual is drawn
+
+
+def conclude(
+    model: Model, records: Sequence[Record], bench: Bench, base: Stage, final: Stage, rounds: list[Verdict], begun: float
+) -> answer.Diagnosis:
+    """Return the answer, parameters and intervals refitted to all segments; `begun` is when the work began [s]."""
+    whole, plain = _whole(bench, final), estimates(model, _whole(bench, base))
+    where, after = views_beside(bench, base, final)
+    last = rounds[-1]
+    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
+    named = final.servo.effects[len(model.effects) :]
+    verdict = "named" if named else _unnamed(last)
+    gap = gap_between(model, bench, base, final)
+    left = remains(after, final.fit.values, named, gap, bench.turn)
+    intervals = estimates(model, whole)
+    of = {v.best.name: v for v in rounds if v.best and v.named}
+    effects = tuple(
+        answer.Named(
+            name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
+            v.gain, v.null.p(name, v.gain),
+        )
+        for name, v in ((name, of[name]) for name in named)
+    )  # fmt: skip
+    own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
+    choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in _open(last) and c.fit} if not named else {}
+    return answer.Diagnosis(
+        verdict=verdict,
+        statement=story.statement(verdict, effects, ties, gap, left, intervals),
+        effects=effects,
+        ties=tuple(ties),
+        experiment=story.experiment(ties, left, bench.narrow),
+        where=where,
+        remains=left,
+        gap=gap,
+        excitation=excitation(model, records),
+        findings=(*(f for r in records for f in r.findings), *bound_lines(model, plain, intervals)),
+        base=plain,
+        parameters=own,
+        rounds=tuple(_round(v) for v in rounds),
+        undetected=story.undetected(last.candidates, last.null, named, model),
+        traces=_traces(bench, base.fit, final.fit),
+        model=model,
+        seconds=time.perf_counter() - begun,
+        choices={n: {k.removeprefix(f"{n}."): v for k, v in e.items() if k.startswith(f"{n}.")} for n, e in choices.items()},
+        choice_parameters={n: {k: v for k, v in e.items() if not k.startswith(f"{n}.")} for n, e in choices.items()},
+    )
+
+
+def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mapping[str, answer.Estimate]) -> list[str]:
+    """Return a line on parameters of the plain model that end at a bound, and on whether they still do with what was found."""
+    lines = []
+    for name, e in plain.items():
+        if e.at_bound:
+            low, high = model.bounds.get(name, (-math.inf, math.inf))
+            unit = "" if e.unit == "1" else f" {e.unit}"
+            later = "" if name not in whole or whole[name].at_bound else "; with what was found it does not"
+            advice = "none is seen in these records" if e.value == 0.0 == low else "widen it if it may be wrong"
+            where = f"its bound {e.value:.4g}{unit} of [{low:.4g}, {high:.4g}]"
+            lines.append(f"the base refit of {name} ends at {where}{later}: {advice}")
+    return lines
+
+
+def _open(verdict: Verdict) -> tuple[str, ...]:
+    """Return the members of a tie that was not resolved, or what was withdrawn."""
+    open_ = verdict.best and not verdict.named and (verdict.ties or verdict.withdrawn)
+    return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
+
+
+def _unnamed(last: Verdict) -> str:
+    classes = {group(name) for name in _open(last)}
+    if not classes:
+        return "none"
+    return "tie" if len(classes) <= story.MANY and not last.withdrawn else "not_identifiable"
+
+
+def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
+    """Return what was measured and simulated, an average a bin, record by record."""
+    s, first, traces = bench.segments, 0, []
+    for piece in s.pieces:
+        n = len(piece.seen)
+        part = slice(first, first + n)
+        time_ = piece.time + s.h * (s.width * np.arange(n * s.bins, dtype=np.float64) + (s.width - 1) / 2)
+        held = np.repeat(bench.held[part], s.bins)
+        old, new = ((piece.seen - fit.residual[part]).ravel() for fit in (before, after))
+        u = piece.u.reshape(-1, s.width).mean(axis=1)
+        traces.append(answer.Trace(piece.name, time_, u, piece.seen.ravel(), old, new, held))
+        first += n
+    return tuple(traces)
+
+
+def _whole(bench: Bench, stage: Stage) -> Fit:
+    """Return the servo fitted to all segments, those kept from the search included."""
+    problem = stage.problem.only(bench.segments.judged)
+    return scanned(resume(problem, stage.fit), lambda fit: problem, stage.servo.effects)
+
+
+def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.View, ...], list[Share]]:
+    """Return the views before and after, both as the final noise sees them, with maps; and the shares after."""
+    plain = evaluate(final.problem, base.fit.simulator, base.fit.free, base.fit.values, base.fit.starts)
+    stages = (Stage(base.servo, final.problem, plain), final)
+    found, torques = [], []
+    for stage in stages:
+        seen, torque = views_of(stage, bench)
+        found.append([_along_axis(bench, share) for share in seen])
+        torques.append(torque)
+    before, after = found
+    table = {share.view: share for share in after}
+    views: list[answer.View] = []
+    for share in before:
+        late = table[share.view]
+        drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if len(views) < MAPS else {}
+        views.append(answer.View(share.view, share.share, share.p, late.share, late.p, share.label, **drawn))
+    return tuple(views), after
+
+
+def _along_axis(bench: Bench, share: Share) -> Share:
+    """Return a share with its label as it is on a linear axis, where the range that was travelled stands for the turn."""
+    return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if bench.barred else share
+
+
+def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer.Gap:
+    """Return mean squares over the segments that were kept from the search, and what the noise alone would give."""
+    before, after = mean_square(base.fit, bench.held), mean_square(final.fit, bench.held)
+    noise = final.problem.noise
+    cover = np.linalg.inv(noise.whiten)
+    covariance_ = cover @ cover.T
+    live = bench.held & (final.fit.weight >= 0)
+    floor = []
+    for columns in final.fit.raw_by_start[live]:
+        q, r = np.linalg.qr(columns)
+        q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(r).max(), 1e-300)]
+        floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
+    alone = float(np.mean(floor)) / bench.segments.bins
+    unit = model.output_unit
+    return answer.Gap(before, after, min(alone, after), f"({unit})2")
+
+
+def _round(v: Verdict) -> answer.Round:
+    """Return a round as it is reported."""
+    bars = []
+    for c in v.candidates:
+        gain = c.fit.total - v.base if c.fit else 0.0
+        tested = () if c.test is None else (c.test.fall, c.test.kept, *c.test.behind)
+        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused, *tested))
+    bars.sort(key=lambda bar: -bar.gain)
+    added = v.best.name if v.best and v.named else None
+    top = v.best.name if v.best else bars[0].name if bars else ""
+    return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size, v.finer)
