@@ -352,7 +352,6 @@ def pruned(stage: Stage, bench: Bench, base: Stage, gain: float) -> tuple[Stage,
     for name in added[:-1]:
         less = _without(stage, bench, base, name)
         size, loss = fall(squares(less.fit, bench.train), squares(stage.fit, bench.train)), stage.fit.total - less.fit.total
-        print("PRUNE", name, size, loss, gain, flush=True)
         if size < SIZE or (size < MORE and loss < ALSO * gain):
             stage = less
             spared.append(name)
