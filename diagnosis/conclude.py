@@ -140,7 +140,7 @@ def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.
 
 def _along_axis(bench: Bench, share: Share) -> Share:
     """Return a share with its label as it is on a linear axis, where the range that was travelled stands for the turn."""
-    return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if bench.barred else share
+    return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if bench.linear else share
 
 
 def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer.Gap:

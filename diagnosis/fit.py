@@ -39,6 +39,12 @@ class Free:
     nominal: float | None = None
     doubt: float = 1.0
 
+    @property
+    def usual(self) -> float:
+        """The value that is known beforehand, in its unit."""
+        assert self.nominal is not None
+        return float(np.exp(self.nominal)) if self.factor else self.nominal
+
     def inside(self, value: float) -> float:
         """Return the value moved into the interval."""
         return min(max(value, self.low), self.high)

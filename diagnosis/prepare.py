@@ -20,6 +20,7 @@ from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smo
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import ONCE
 from bristle.model.errors import BristleError
+from bristle.plant.friction import law as find_law
 
 SHORTEST = 0.1  # s: in less, friction and inertia hardly show
 STEP = 1e-3  # s: longest internal step
@@ -47,11 +48,17 @@ def bench_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT) 
     kept = [r.y for r in records if len(r.u) >= 3 * length]
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h))
-    bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"])
+    barred = {"stribeck": f"the law '{model.friction}' has a Stribeck curve of its own"} if _falls(model) else {}
+    bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"], barred)
     if not model.linear:
         return bench
-    refused = {name: "needs a shaft that turns: this axis is linear" for name in ONCE}
-    return replace(bench, barred=refused, turn=float(np.ptp(moved.theta)))
+    barred |= {name: "needs a shaft that turns: this axis is linear" for name in ONCE}
+    return replace(bench, barred=barred, linear=True, turn=float(np.ptp(moved.theta)))
+
+
+def _falls(model: Model) -> bool:
+    """True if the friction of the law itself falls with the speed: it has a static friction."""
+    return any(p.name.endswith(".Fs") for p in find_law(model.friction).parameters)
 
 
 def limits(bench: Bench) -> dict[str, tuple[float, float]]:
@@ -63,7 +70,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
     is a spring or a bias.
     """
     least = 2 * 2 * math.pi / bench.turn
-    periodic = ("cogging.periods", "position_friction.periods") if bench.barred else ("cogging.periods",)
+    periodic = ("cogging.periods", "position_friction.periods") if bench.linear else ("cogging.periods",)
     first, last = np.quantile(bench.motion.time, [EDGE, 1 - EDGE])
     middle = float(np.median(bench.motion.theta))
     return {

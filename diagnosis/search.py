@@ -10,8 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.balance import Balance, Joint
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Servo, Test, advance, evidence, explore, follow, pursue, scanned
-from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, begun_well, refit, rescored, resume
+from bristle.diagnosis.candidates import (
+    ELASTIC,
+    RIGID,
+    Candidate,
+    Servo,
+    Start,
+    Test,
+    advance,
+    evidence,
+    explore,
+    follow,
+    pursue,
+    scanned,
+    starts,
+)
+from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, begun_well, evaluate, refit, rescored, resume
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.null import Null, largest_gain
@@ -41,6 +55,7 @@ AGAIN, MUCH, MORE, ALSO = 15.0, 1.5, 1.4, 0.4  # or gains so many nats on segmen
 # so, or so if it gains this share of the first one
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
+STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
 FEWEST = 10  # segments in motion that tell the noise
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
 DOUBTLESS = 10.0  # times the null's level
@@ -65,6 +80,7 @@ class Bench:
     least: float
     narrow: str = ""  # why the motion is too uniform to tell effects apart by their form
     barred: Mapping[str, str] = field(default_factory=dict)
+    linear: bool = False  # the axis does not turn
     turn: float = 2 * math.pi
 
     @property
@@ -193,7 +209,7 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tupl
     """Return the named effects refitted as far as they are promising, and the null of the largest gain."""
     fit, lens, far = stage.fit, lens_of(stage, bench), bench.far(stage.fit)
     e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
-    joint = bench.joint(stage) if far else None
+    together = _together(bench, stage) if far else lambda name: ()
 
     def quiet(left: Fit) -> Problem:
         return bench.left_by(left) if far and left.weight.any() else stage.problem
@@ -202,10 +218,9 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tupl
     for i, name in enumerate(names):
         tell(name, i / max(len(names), 1))
         barred = bench.barred.get(name, "")
-        more = joint.starts(name) if joint and not barred else ()
         tried.append(
             Candidate(name, None, refused=barred) if barred
-            else explore(stage.problem, stage.servo, name, fit, lens, e, quiet, more)
+            else explore(stage.problem, stage.servo, name, fit, lens, e, quiet, together(name))
         )  # fmt: skip
     if not any(c.fit for c in tried):
         return tried, Null(np.zeros(1), {})
@@ -217,6 +232,28 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tupl
     chosen = {c.name for c in sorted(hopeful, key=lambda c: -c.promised)[:MOST_REFITTED]}
     tried = [pursue(c, quiet, bench.left_by) if c.name in chosen else c for c in tried]
     return tried, _null(stage.problem, lens, fit, tried)
+
+
+def _together(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]]:
+    """Return what gives the starts of an effect together with the model, where the model's own fit is far off.
+
+    They balance the torques along the measured motion or, where the law has a memory, start from the nominal model: one
+    that was fitted without what is missing has bent its parameters to make up for it.
+    """
+    joint = bench.joint(stage)
+    if joint.models:
+        return joint.starts
+    nominal = {f.name: f.usual for f in stage.servo.free if f.nominal is not None}
+    values = {**stage.fit.values, **nominal}
+    plain = evaluate(stage.problem, stage.fit.simulator, (), values, stage.problem.starts)  # none to make up for it
+    e = evidence(bench.motion, lens_of(replace(stage, fit=plain), bench), plain, bench.resolution, bench.turn)
+
+    def begun(name: str) -> list[Start]:
+        first = find_effect(name).parameters[0].name.removeprefix(f"{name}.")
+        several = [s | {first: factor * s[first]} for s in starts(name, e) for factor in STRONGER if first in s]
+        return [({**nominal, **{f"{name}.{k}": v for k, v in s.items()}}, s) for s in several]
+
+    return begun
 
 
 def _judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Sequence[Candidate], null: Null) -> Verdict:
