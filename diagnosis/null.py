@@ -38,7 +38,11 @@ class Null:
 
 
 def directions(columns: Array, weight: Array) -> Array:
-    """Return columns (segments, bins, k) made orthonormal in the weighted scalar product; what is dependent is dropped."""
+    """Return columns (segments, bins, k) made orthonormal in the weighted scalar product; what is dependent is dropped.
+
+    Segments without weight are 0: what shows in those alone has no size here.
+    """
+    columns = np.where(weight[:, None, None] > 0, columns, 0.0)
     normal = np.einsum("s,snk,snl->kl", weight, columns, columns, optimize=True)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))

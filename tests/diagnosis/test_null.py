@@ -121,3 +121,17 @@ def test_directions_are_orthonormal_and_span_what_they_came_from():
     for column in columns.reshape(-1, 3).T:
         rest = column - scaled @ np.linalg.lstsq(scaled, column, rcond=None)[0]
         assert np.linalg.norm(rest) < 1e-6 * np.linalg.norm(column)
+
+
+def test_what_shows_in_unjudged_segments_alone_has_no_direction():
+    """A stop that is touched in none of the segments that count: its level stays finite, and so do the others'."""
+    rng, weight = np.random.default_rng(6), np.ones(SEGMENTS)
+    weight[::4] = 0.0
+    column = np.zeros((SEGMENTS, BINS, 1))
+    column[4] = 1e9 * rng.standard_normal((BINS, 1))
+    bank = directions(column, weight)
+    assert np.all(np.isfinite(bank))
+    assert np.abs(bank).max(initial=0.0) == 0.0
+    null = largest_gain(banks_of(rng, (2,), weight) | {"stop": [bank]}, rng.standard_normal((SEGMENTS, BINS)), weight)
+    assert np.isfinite(null.level("0"))
+    assert null.level("stop") < null.level("0")
