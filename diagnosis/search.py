@@ -61,8 +61,9 @@ RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is 
 DOUBTLESS = 10.0  # times the null's level
 MARK = 3.0  # nats: what one segment may say about it
 RATIO = 3.3  # nats that a further parameter must gain
-LOSS, SHOWN = 11.0, 0.1  # nats that segments kept from the search may lose by chance; share of the gain that they must show,
-ENOUGH, RATTLE = 8.0, 3.0  # of which so many nats are enough, or so many where contacts go another way in each run
+WIDE_MARK = 8.0  # the same where it is to prove that the best candidate holds on segments kept from the search:
+SHOWN, LOSS = 0.25, 10.0  # it must show this share of what they would gain if they were like the others, less so many nats,
+ENOUGH, RATTLE = 16.0, 4.0  # of which so many are enough, or so many where contacts go another way in each run
 CEDED = 0.1  # share of the gain that they may lose to an effect that lives elsewhere
 HELD = 4  # every fourth segment is kept from the search
 
@@ -337,16 +338,21 @@ def _tested(bench: Bench, held: Problem, plain: Fit, candidate: Candidate, level
     assert candidate.fit is not None
     effect = find_effect(candidate.name)
     new, old = (begun_well(held, f) for f in (candidate.fit, plain))
-    kept = float(np.clip(new.score - old.score, -MARK, MARK).sum())
+    gains = (new.score - old.score)[held.judged]
     found = max(candidate.gain_over(plain), 0.0)
     before, after = squares(plain, bench.train), squares(candidate.fit, bench.train)
     size = whole = fall(before, after, effect.local)
     if found > DOUBTLESS * level:
         kept_too = typical_fall(squares(old, held.judged), squares(new, held.judged))
         size = max(size, min(typical_fall(before, after), kept_too))
-    shown = min(SHOWN * found - LOSS, RATTLE if effect.coupling else ENOUGH)
-    least = -LOSS - CEDED * found if effect.local else shown
-    return Test(whole, kept, size >= SIZE, kept > least)
+    like = found * len(gains) / max(np.count_nonzero(bench.train), 1)
+    least = min(SHOWN * like - LOSS, RATTLE if effect.coupling else ENOUGH)
+    proven = bool(_clipped(gains, WIDE_MARK) > (-LOSS - CEDED * found if effect.local else least))
+    return Test(whole, _clipped(gains, MARK), size >= SIZE, proven)
+
+
+def _clipped(gains: Array, most: float) -> float:
+    return float(np.clip(gains, -most, most).sum())
 
 
 def _spares(plain: Candidate, rich: Candidate) -> bool:
