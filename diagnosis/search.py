@@ -51,8 +51,8 @@ CONTENDER = 0.2  # share of the best gain from which a candidate is refitted und
 SIZE = 1.15  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
 PLAIN, PLAIN_LOCAL = 3.0, 1.8  # a further effect lowers the error so, or so if it shows in few segments only,
-AGAIN, MUCH, MORE, ALSO = 15.0, 1.5, 1.4, 0.4  # or gains so many nats on segments kept from the search and lowers the error
-# so, or so if it gains this share of the first one
+MORE, ALSO = 1.4, 0.4  # or so and gains this share of the first one,
+MUCH, AGAIN = 1.5, 15.0  # or so and gains so many nats on segments kept from the search
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
@@ -259,10 +259,11 @@ def _together(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]]:
 
 def _judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Sequence[Candidate], null: Null) -> Verdict:
     """Return what the candidates beyond the null are worth beside each other, under the noise that the best one leaves."""
+    beyond = _inside(stage, beyond)
     best = max(beyond, key=lambda c: c.merit)
     contenders = [c for c in beyond if c.gain_over(stage.fit) > CONTENDER * best.gain_over(stage.fit)]
     problem, contenders = _under_best_noise(bench, stage, best, contenders)
-    contenders = [c for c in contenders if c.inside(stage.servo.limits)] or contenders
+    contenders = _inside(stage, contenders)
     best = max(contenders, key=lambda c: c.merit)
     plain = _plain(problem, stage, best)
     held = problem.only(bench.held)
@@ -291,6 +292,11 @@ def _plain(problem: Problem, stage: Stage, best: Candidate) -> Fit:
     values = {name: best.fit.values.get(name, value) for name, value in old.values.items()}
     led = refit(problem, old.simulator, old.free, values, best.fit.starts, enough=ROUGH)
     return max((resume(problem, old, enough=ROUGH), led), key=lambda each: each.total)
+
+
+def _inside(stage: Stage, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the candidates that end within the limits of the records; all of them if none does."""
+    return [c for c in candidates if c.inside(stage.servo.limits)] or list(candidates)
 
 
 def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) -> Null:
@@ -442,8 +448,8 @@ def _worth_adding(verdict: Verdict, first: float) -> bool:
     """
     if verdict.size >= PLAIN or (verdict.size >= PLAIN_LOCAL and verdict.best and find_effect(verdict.best.name).local):
         return True
-    least = MORE if verdict.gain >= ALSO * first else MUCH
-    return verdict.size >= least and verdict.kept >= AGAIN
+    large = verdict.size >= MORE and verdict.gain >= ALSO * first
+    return large or (verdict.size >= MUCH and verdict.kept >= AGAIN)
 
 
 def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]:
