@@ -351,7 +351,7 @@ def _tested(bench: Bench, held: Problem, plain: Fit, candidate: Candidate, level
     if found > DOUBTLESS * level:
         kept_too = typical_fall(squares(old, held.judged), squares(new, held.judged))
         size = max(size, min(typical_fall(before, after), kept_too))
-    like = found * len(gains) / max(np.count_nonzero(bench.train), 1)
+    like = found * len(gains) / max(int(np.count_nonzero(bench.train)), 1)
     least = min(SHOWN * like - LOSS, RATTLE if effect.coupling else ENOUGH)
     proven = bool(_clipped(gains, WIDE_MARK) > (-LOSS - CEDED * found if effect.local else least))
     return Test(whole, _clipped(gains, MARK), size >= SIZE, proven)
