@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.modelfile import INPUT_UNITS
 from bristle.diagnosis.result import Candidate, Diagnosis, Round, Trace, View
+from bristle.diagnosis.story import AXES, view_name
 from bristle.model.drawing import (
     BLUE,
     DEGREES,
@@ -44,24 +45,11 @@ SHOWN = {  # SI unit -> factor and unit of a figure's axis
     "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "m/s2": (1.0, "m/s²"),
     "N.m": (1.0, "N·m"), "1": (1.0, ""),
 }  # fmt: skip
-AXES = {  # first part of a view -> name and kind of quantity
-    "theta": ("position", "angle"), "v": ("velocity", "speed"), "a": ("acceleration", "acceleration"),
-    "u": ("input", "input"), "du": ("rate of the input", "input rate"), "t": ("time", "time"),
-    "history": ("travel since the last reversal", "angle"), "direction": ("sign of the velocity", "none"),
-    "frequency": ("frequency", "frequency"), "tone": ("tone in time", "time"),
-}  # fmt: skip
 
 
 def shown(unit: str) -> tuple[float, str]:
     """Return (factor, unit) for an axis in the units people read: degrees and millimetres."""
     return SHOWN.get(unit, (1.0, unit))
-
-
-def view_name(view: str, label: str = "") -> str:
-    """Return a view in words, with what was found in it: "theta", "7 in a turn" is position (7 in a turn)."""
-    first, _, second = view.partition(" x ")
-    names = [AXES.get(part, (part, ""))[0] for part in (first, second) if part]
-    return " × ".join(names) + (f" ({label})" if label else "")
 
 
 @dataclass(frozen=True)
@@ -290,7 +278,7 @@ def _map(ax: Any, view: View, rig: Rig, both: bool) -> None:
     ax.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
     ax.legend(loc="upper left", ncols=2, fontsize=8, handlelength=1.8, columnspacing=1.0, borderaxespad=0.2)
     share = f"{100 * view.share:.0f} %" + (f" → {100 * view.share_after:.0f} %" if both else "")
-    set_title(ax, f"{view_name(view.view, view.label)}: {share} of the residual")
+    set_title(ax, f"{view_name(view.view, view.label)}\n{share} of the residual")
     set_labels(ax, x=label)
 
 

@@ -11,6 +11,7 @@ from bristle.diagnosis.candidates import Candidate
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains
+from bristle.diagnosis.views import STRETCHES
 from bristle.plant.effects import effect as find_effect
 
 SEPARATE = {  # what tells effects of one class apart
@@ -23,6 +24,20 @@ SEPARATE = {  # what tells effects of one class apart
 }
 UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
 MANY = 3  # classes in a tie from which on the records name nothing
+
+AXES = {  # first part of a view -> name and kind of quantity
+    "theta": ("position", "angle"), "v": ("velocity", "speed"), "a": ("acceleration", "acceleration"),
+    "u": ("input", "input"), "du": ("rate of the input", "input rate"), "t": ("time", "time"),
+    "history": ("travel since the last reversal", "angle"), "direction": ("sign of the velocity", "none"),
+    "frequency": ("frequency", "frequency"), "tone": ("tone in time", "time"),
+}  # fmt: skip
+
+
+def view_name(view: str, label: str = "") -> str:
+    """Return a view in words, with what was found in it: "theta", "7 in a turn" is position (7 in a turn)."""
+    first, _, second = view.partition(" x ")
+    names = [AXES.get(part, (part, ""))[0] for part in (first, second) if part]
+    return " × ".join(names) + (f" ({label})" if label else "")
 
 
 def words(name: str) -> str:
@@ -38,7 +53,10 @@ def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str) -> 
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)
         lines.append(f"To tell {' and '.join(tie)} apart: {known or each}.")
     if remains.flag:
-        lines.append(f"Record more motion that varies {remains.view}, and nothing else, to see what remains there.")
+        again = f"motion that varies {view_name(remains.view or '')} most"
+        if remains.view == STRETCHES:
+            again = "again what happens in the stretches that stand out"
+        lines.append(f"Record {again}, and all else little, to see what remains there.")
     return " ".join(lines)
 
 
@@ -101,18 +119,18 @@ def statement(
         lines.append("Something is missing, but too many effects explain it alike: these records do not name it.")
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
     unit = gap.unit.removesuffix(")2").removeprefix("(")
+    most = "at most " if remains.flag else ""  # what is unexplained looks like noise
     if effects:
         lines.append(
             f"On stretches kept from the search the rms error of the output falls from {rms[0]:.3g} to {rms[1]:.3g} {unit}; "
-            f"disturbance and sensor alone give {rms[2]:.3g} {unit}."
+            f"disturbance and sensor alone give {most}{rms[2]:.3g} {unit}."
         )
     else:
         lines.append(f"The rms error of the output is {rms[0]:.3g} {unit} with refitted parameters; "
-                     f"disturbance and sensor alone would give {rms[2]:.3g} {unit}.")  # fmt: skip
+                     f"disturbance and sensor alone would give {most}{rms[2]:.3g} {unit}.")  # fmt: skip
     if remains.flag:
-        lines.append(
-            f"Something remains that none of the effects explains: {remains.share:.0%} of the residual follows {remains.view}."
-        )
+        where = view_name(remains.view or "")
+        lines.append(f"Something remains that none of the effects explains: {remains.share:.0%} of the residual follows {where}.")
     stuck = [name for name, estimate in base.items() if estimate.at_bound]
     if stuck:
         lines.append(f"The refit of {', '.join(stuck)} ends at a bound: widen it in [bounds], or check units and signs.")

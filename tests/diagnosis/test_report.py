@@ -10,9 +10,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from bristle.diagnosis.figures import Rig, draw, telling, view_name
+from bristle.diagnosis.figures import Rig, draw, telling
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Named, Trace
+from bristle.diagnosis.story import view_name
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 VOID = {"meta", "img", "br"}
