@@ -26,8 +26,8 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"): 
     os.environ[variable] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))
 
-from run import diagnose_one  # noqa: E402
-from score import Judged  # noqa: E402
+from run import diagnose_one  # noqa: E402 - after the threads are set
+from score import Judged  # noqa: E402 - after the threads are set
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "scenarios" / "hidden"

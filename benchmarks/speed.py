@@ -92,7 +92,6 @@ def time_plain(parts: dict[str, tuple[Program, str]], steps: int) -> tuple[float
     ends = [np.array([address(link[i]) for link in LINKS], dtype=np.uintp) for i in (0, 1)]
     taps = np.array([address(port) for port in RECORD], dtype=np.uintp)
     record = np.zeros((steps + 1, len(RECORD)))
-
     def pointer(array: np.ndarray) -> ctypes.c_void_p:
         return ctypes.c_void_p(array.ctypes.data)
 

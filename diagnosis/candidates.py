@@ -24,8 +24,8 @@ FACTOR = 300.0  # a parameter that is never zero may move away from its start by
 FINALISTS, STEPS = 2, 2  # starts from which steps are taken, and their number
 TRIES = 6  # values for each parameter of a rugged effect that are tried around where it stands,
 SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread by such factors, round by round,
-NEAR = 300.0  # nats below the model without it: from there on, a contact is not tried around its starts
 BETTER = 5.0  # as long as that gains so many nats
+NEAR = 300.0  # nats below the model without it: from there on, a contact is not tried around its starts
 LIMITS = {  # closer than what can be simulated: what a servo may have
     "stribeck.excess": (0.0, 100.0),
     "compliance.share": (0.02, 0.9),

@@ -11,14 +11,16 @@ import numpy as np
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
+from bristle.diagnosis.bench import Bench, Stage
 from bristle.diagnosis.candidates import scanned
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, resume
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.intervals import estimates
+from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.remains import remains
-from bristle.diagnosis.search import Bench, Stage, Verdict, group, views_of
+from bristle.diagnosis.search import group, views_of
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import Share, residual_map
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
+from bristle.diagnosis.bench import Bench, settle_well
 from bristle.diagnosis.candidates import Servo
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, refit
@@ -24,7 +25,7 @@ from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import check
 from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap
-from bristle.diagnosis.search import Bench, Tell, settle_well
+from bristle.diagnosis.search import Tell
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.workflow import examine, mend_first

@@ -33,8 +33,12 @@ class Null:
 
     def p(self, name: str, gain: float) -> float:
         """Return how often chance brings any candidate as far above its usual gain; never below 1/(replicates + 1)."""
-        over = np.count_nonzero(self.draws >= gain - self.usual.get(name, 0.0))
-        return float((1 + over) / (1 + len(self.draws)))
+        return chance(self.draws, gain - self.usual.get(name, 0.0))
+
+
+def chance(draws: Array, seen: float) -> float:
+    """Return the p of what was seen among draws (replicates,) by chance, the seen one counted as one of them."""
+    return float((1 + np.count_nonzero(draws >= seen)) / (1 + len(draws)))
 
 
 def directions(columns: Array, weight: Array) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bristle.diagnosis.bench import Bench, Stage, base_servo, settle_well
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Free, evaluate
@@ -15,7 +16,6 @@ from bristle.diagnosis.intake import Record
 from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
-from bristle.diagnosis.search import Bench, Stage, base_servo, settle_well
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import ONCE
@@ -127,13 +127,8 @@ def prepared(model: Model, records: Sequence[Record], bench: Bench) -> tuple[Ben
         seconds /= 2
         bench = bench_of(model, records, seconds)
         base = settle_well(bench, *base_of(model, bench))
-    if seconds == SEGMENT:
-        return bench, base, []
-    return (
-        bench,
-        base,
-        [f"the model runs away from these records within {SEGMENT:g} s: it was compared over {seconds:g} s at a time"],
-    )
+    line = f"the model runs away from these records within {SEGMENT:g} s: it was compared over {seconds:g} s at a time"
+    return bench, base, [line] if seconds < SEGMENT else []
 
 
 def nominal_gap(bench: Bench, servo: Servo, values: Mapping[str, float]) -> float:

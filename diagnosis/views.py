@@ -14,6 +14,7 @@ from scipy.stats import f as f_ratio
 
 from bristle.diagnosis.fit import FREEDOM
 from bristle.diagnosis.lens import Lens, Motion
+from bristle.diagnosis.null import chance
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
@@ -159,17 +160,13 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
         told[view] = label, periods
     found = {view: _predicted(lens, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
-    ps = {view: (_chance(strongest, draws[0]), _chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
+    ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
     whole = float(np.square(lens.plain(lens.rest[live][:, :, None], live)).mean())
     result = []
     for view, (_, power) in found.items():
         label, periods = told.get(view, ("", None))
         result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], label, ps[view][1], periods))
     return [*sorted(result, key=lambda each: -each.share), _outbreaks(lens, m, live)]
-
-
-def _chance(draws: Array, gain: float) -> float:
-    return float((1 + np.count_nonzero(draws >= gain)) / (1 + len(draws)))
 
 
 def _outbreaks(lens: Lens, m: Motion, live: NDArray[np.int_]) -> Share:

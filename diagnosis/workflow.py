@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from bristle.diagnosis import result as answer
+from bristle.diagnosis.bench import Bench, Stage, settle
 from bristle.diagnosis.conclude import conclude, gap_between, views_beside
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.intake import Record
@@ -17,7 +18,7 @@ from bristle.diagnosis.modelfile import REACH, Model
 from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
 from bristle.diagnosis.remains import remains
-from bristle.diagnosis.search import Bench, Stage, Tell, search, settle
+from bristle.diagnosis.search import Tell, search
 from bristle.diagnosis.size import mean_square
 
 
@@ -42,9 +43,8 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     tell = progress or (lambda text, fraction: None)
     said = check(model, records)
     bench = bench_of(model, records)
-    servo, values = base_of(model, bench)
     if said.proposals:
-        return mend_first(model, records, said, nominal_gap(bench, servo, values), time.perf_counter() - begun)
+        return mend_first(model, records, said, nominal_gap(bench, *base_of(model, bench)), time.perf_counter() - begun)
     tell("base refit", 0.0)
     bench, base, lines = prepared(model, records, bench)
     found = examine(model, records, bench, base, tell, begun)

@@ -11,15 +11,8 @@ from bristle.model.program import Kernel
 
 # {0}, {1}: operands. A minimum or maximum lets NaN through in both languages.
 _SHARED = {
-    ca.OP_ASSIGN: "{0}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_ADD: "{0} + {1}",
-    ca.OP_SUB: "{0} - {1}",
-    ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "2.0 * {0}",
-    ca.OP_INV: "1.0 / {0}",
+    ca.OP_ASSIGN: "{0}", ca.OP_NEG: "-{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0 * {0}", ca.OP_INV: "1.0 / {0}",
 }
 _C = _SHARED | {
     ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_NE: "{0} != {1}", ca.OP_NOT: "!{0}",

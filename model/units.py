@@ -101,7 +101,7 @@ def quantity(given: str | float | int, si_unit: str) -> float:
         If the number or the unit is missing, unknown, of another dimension, or not finite.
     """
     if isinstance(given, bool) or not isinstance(given, (str, float, int)):
-        raise BristleError(f'{given!r} is not a quantity; write a number with a unit such as "1 {si_unit}"')
+        raise BristleError(f"{given!r} is not a quantity; write a number with a unit such as \"1 {si_unit}\"")
     number, _, unit = str(given).strip().partition(" ")
     try:
         value = float(number)

@@ -20,7 +20,9 @@ def filter_of(shop: Workshop, s: Sample) -> zhang.Filter:
     return zhang.make_filter(shop, ca.vertcat(p.k1, p.k2), p.lam, s.period)
 
 
-def predict(f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, unit: float = 1.0) -> tuple[SX, SX]:
+def predict(
+    f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, unit: float = 1.0
+) -> tuple[SX, SX]:
     """Advance x^ = (v^, -w^) and Ups over one sample for x1' = x2 - alpha2 v + b u, x2' = psi theta.
 
     v is the measured velocity, linear between samples, u is held. The term c |v| x2 of psi at the end of the sample

@@ -150,7 +150,10 @@ def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -
     average = "time constant of the published average"
     return (
         Parameter(f"{prefix}.gain", "g", "1", gain, 0.0, 1e15, "overall adaptation gain", "zhang2002"),
-        *(Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", "zhang2002") for (n, unit), s in scales),
+        *(
+            Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", "zhang2002")
+            for (n, unit), s in scales
+        ),
         Parameter(f"{prefix}.averaging", "T_a", "s", averaging, 0.0, 1e6, average, "polyak1992"),
     )
 
@@ -163,3 +166,4 @@ def matrix_gain(p: Namespace) -> SX:
 def averaging_weight(p: Namespace, period: SX) -> SX:
     """Return the weight of a new value in the published average; no averaging if the time constant is 0."""
     return period / ca.fmax(p.averaging, period)
+

@@ -28,10 +28,10 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"): 
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-from cases import SELECTIONS, Spec, draw, plan, seal, write  # noqa: E402
-from page import put  # noqa: E402
-from score import tables  # noqa: E402
-from truth import library  # noqa: E402
+from cases import SELECTIONS, Spec, draw, plan, seal, write  # noqa: E402 - after the threads are set
+from page import put  # noqa: E402 - after the threads are set
+from score import tables  # noqa: E402 - after the threads are set
+from truth import library  # noqa: E402 - after the threads are set
 
 ROOT = Path(__file__).resolve().parents[2]
 ABOUT = """## How often it is wrong

@@ -13,9 +13,9 @@ from records import Array, Entry
 from scipy.optimize import least_squares
 
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
+from bristle.diagnosis.bench import settle
 from bristle.diagnosis.plausibility import check
 from bristle.diagnosis.prepare import base_of, bench_of
-from bristle.diagnosis.search import settle
 from bristle.diagnosis.segments import smooth
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program

@@ -18,10 +18,10 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"): 
     os.environ[variable] = "1"
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
-import draw  # noqa: E402
-from cases import FOLDERS, Run  # noqa: E402
-from page import put  # noqa: E402
-from records import ROOT as DATA  # noqa: E402
+import draw  # noqa: E402 - after the threads are set
+from cases import FOLDERS, Run  # noqa: E402 - after the threads are set
+from page import put  # noqa: E402 - after the threads are set
+from records import ROOT as DATA  # noqa: E402 - after the threads are set
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "benchmarks" / "results" / "measured.md"

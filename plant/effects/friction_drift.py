@@ -31,7 +31,9 @@ EFFECT = Effect(
     residual=("t x direction",),
     excitation="a long record",
     confounded=("disturbance_step", "position_friction"),
-    parameters=(Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second", "armstrong1994"),),
+    parameters=(
+        Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second", "armstrong1994"),
+    ),
     factor=factor,
     starts=starts,
 )

@@ -16,9 +16,9 @@ import pytest
 from scipy.signal import lfilter
 
 from bristle.diagnosis import Model, Record, records_from_arrays
+from bristle.diagnosis.bench import Bench, Stage, settle
 from bristle.diagnosis.prepare import base_of, bench_of
 from bristle.diagnosis.result import Diagnosis
-from bristle.diagnosis.search import Bench, Stage, settle
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.plant.effects import effect, effects

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis.bench import settle
 from bristle.diagnosis.numerics import steady
 from bristle.diagnosis.prepare import base_of, bench_of, limits
-from bristle.diagnosis.search import settle
 
 
 @pytest.fixture(scope="module")

@@ -50,7 +50,9 @@ class Part:
         self.refs = {v.name: v.valueReference for v in description.modelVariables}
         model = description.coSimulation.modelIdentifier
         home = os.getcwd()
-        self.fmu = FMU2Slave(guid=description.guid, unzipDirectory=str(folder), modelIdentifier=model, instanceName=model)
+        self.fmu = FMU2Slave(
+            guid=description.guid, unzipDirectory=str(folder), modelIdentifier=model, instanceName=model
+        )
         self.fmu.instantiate()
         self.fmu.setupExperiment(startTime=0.0)
         self.fmu.enterInitializationMode()

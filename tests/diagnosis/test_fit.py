@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bristle.diagnosis.bench import lens_of
 from bristle.diagnosis.candidates import freedom, scanned
 from bristle.diagnosis.fit import Free, begun_well, evaluate, refit, rescored, resume
 from bristle.diagnosis.intervals import covariance
-from bristle.diagnosis.search import lens_of, look
+from bristle.diagnosis.search import look
 
 TRUE = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
 HIDDEN = {  # effect: (parameters it was simulated with, largest error relative to them)

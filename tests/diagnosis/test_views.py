@@ -7,7 +7,7 @@ from copy import copy
 import numpy as np
 import pytest
 
-from bristle.diagnosis.search import lens_of
+from bristle.diagnosis.bench import lens_of
 from bristle.diagnosis.views import FLIPS, STRETCHES, hats, residual_map, shares, stops
 
 SHARE = 0.6

@@ -89,7 +89,9 @@ def test_recursive_least_squares_equals_the_batch_solution():
         v[k + 1] = v[k] * np.exp(-2 * PERIOD) + (6.5 * u[k] - 4.0) / 2 * (1 - np.exp(-2 * PERIOD))
     theta = np.cumsum(v) * PERIOD + 1e-4 * random.standard_normal(n)
     parameters = {"rls.forgetting": 1.0, "rls.p_start": 1e12, "rls.hold_off": 0.0}
-    out, _ = Native(observer_program("rls"), parameters).run(PERIOD, {"u": u, "y_theta": theta}, ["alpha2_hat", "b_hat", "Fc_hat"])
+    out, _ = Native(observer_program("rls"), parameters).run(
+        PERIOD, {"u": u, "y_theta": theta}, ["alpha2_hat", "b_hat", "Fc_hat"]
+    )
     speed = np.diff(theta) / PERIOD
     rows = np.column_stack([np.diff(speed) / PERIOD, -(speed[1:] + speed[:-1]) / 2, (u[1:-1] + u[:-2]) / 2])
     for _ in range(2):

@@ -132,11 +132,7 @@ def test_a_servo_without_encoder_has_no_encoder_outputs_and_moves_alike():
 J = 0.002
 OWN = {
     "modified": {
-        "modified.sigma0": 500.0,
-        "modified.sigma1": 700.0,
-        "modified.sigma2": 200.0,
-        "modified.c": 125.0,
-        "modified.tau": 0.01,
+        "modified.sigma0": 500.0, "modified.sigma1": 700.0, "modified.sigma2": 200.0, "modified.c": 125.0, "modified.tau": 0.01,
     },
     "modified_polynomial": {"modified_polynomial.sigma0": 500.0, "modified_polynomial.c": 125.0},
     "lugre": {"lugre.Fc": 0.006, "lugre.Fs": 0.01},

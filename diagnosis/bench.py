@@ -1,0 +1,150 @@
+"""The records on the bench: their segments and noise, and a servo fitted to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.diagnosis.balance import Balance, Joint
+from bristle.diagnosis.candidates import RIGID, Servo
+from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, refit, resume
+from bristle.diagnosis.lens import Lens, Motion
+from bristle.diagnosis.noise import Noise, estimate, response
+from bristle.diagnosis.segments import Segments
+from bristle.diagnosis.size import mean_square
+from bristle.plant.friction import law as find_law
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LONG = 40  # steps of the first fit, which may be far from its end
+SETTLE = 2  # times that noise and parameters are estimated in turn
+BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
+FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
+FEWEST = 10  # segments in motion that tell the noise
+HELD = 4  # every fourth segment is kept from the search
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Everything that stays the same over a search.
+
+    `barred` says why an effect is no candidate; `turn` is the path after which a motion begins anew: one turn of a shaft.
+    """
+
+    segments: Segments
+    motion: Motion
+    resolution: float
+    least: float
+    narrow: str = ""  # why the motion is too uniform to tell effects apart by their form
+    barred: Mapping[str, str] = field(default_factory=dict)
+    linear: bool = False  # the axis does not turn
+    turn: float = 2 * math.pi
+
+    @property
+    def train(self) -> Mask:
+        """Segments that the search may see."""
+        return np.asarray(self.segments.judged & (self.segments.block % HELD != HELD - 1))
+
+    @property
+    def held(self) -> Mask:
+        """Segments kept from the search."""
+        return np.asarray(self.segments.judged & (self.segments.block % HELD == HELD - 1))
+
+    def problem(self, noise: Noise, judged: Mask) -> Problem:
+        """Return a problem over these segments."""
+        return Problem(noise, judged, self.segments.seen, self.segments.starts, self.segments.spread)
+
+    def noise(self, residual: Array, weight: Array, values: Mapping[str, float]) -> Noise:
+        """Return the noise of a residual (segments, bins), from the segments in motion.
+
+        At rest friction takes the disturbance and the sensor repeats its last step: that says nothing of their size.
+        """
+        s = self.segments
+        share = self.motion.moving.reshape(len(residual), -1).mean(axis=1)
+        in_motion = weight * share
+        weight = in_motion if np.count_nonzero(in_motion > 0.5) >= FEWEST else weight
+        pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
+        return estimate(residual, weight, pulses, s.h, self.least)
+
+    def left_by(self, fit: Fit) -> Problem:
+        """Return the problem of the segments that the search may see, under the noise that a fit leaves."""
+        return self.problem(self.noise(fit.residual, fit.weight, fit.values), self.train)
+
+    def missed(self, fit: Fit) -> float:
+        """Return the squared error over that of the motion within segments, less a straight line each."""
+        s = self.segments
+        ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
+        moved = (s.seen - (s.seen @ ramp) @ ramp.T)[self.train]
+        return mean_square(fit, self.train) / float(np.mean(np.square(moved)))
+
+    def far(self, fit: Fit) -> bool:
+        """True if a model misses so much of the motion that steps from where it stands may lead nowhere."""
+        return self.missed(fit) > FAR
+
+    def joint(self, stage: Stage) -> Joint:
+        """Return where a model and an effect may start together."""
+        balance = Balance(self.segments, self.motion, stage.problem.judged, stage.servo.fixed)
+        return Joint(balance, stage.servo, stage.fit.values, self.noise, self.resolution, self.turn)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A servo fitted, with the problem it was fitted under."""
+
+    servo: Servo
+    problem: Problem
+    fit: Fit
+
+
+def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
+    """Fit a servo and its noise in turn, from given values."""
+    simulator, starts, judged = servo.simulator(bench.segments), bench.segments.starts, bench.train
+    seen, _, good = simulator.run(values, starts)
+    residual = np.where(good[:, None], bench.segments.seen - seen, 0.0)
+    noise = bench.noise(residual, (judged & good).astype(float), values)
+    fit = refit(bench.problem(noise, judged), simulator, servo.free, values, starts, LONG, enough=ROUGH)
+    for _ in range(SETTLE):
+        fit = resume(bench.left_by(fit), fit, enough=ROUGH)
+    problem = bench.left_by(fit)
+    return Stage(servo, problem, resume(problem, fit))
+
+
+def settle_well(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
+    """Fit a servo and its noise from given values and, if that ends far off, from what balances the torques."""
+    first = settle(bench, servo, values)
+    if not bench.far(first.fit):
+        return first
+    others = [settle(bench, servo, {**values, **found}) for found in bench.joint(first).models]
+    return max((first, *others), key=lambda stage: stage.fit.total)
+
+
+def lens_of(stage: Stage, bench: Bench) -> Lens:
+    """Return the lens of a fitted servo."""
+    return Lens(stage.problem, stage.fit, bench.motion.moving, stage.fit.values["J"], stage.fit.values["a2"])
+
+
+def base_servo(
+    law: str, nominal: Mapping[str, float], bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float], step: float
+) -> tuple[Servo, dict[str, float]]:
+    """Return a servo whose bounded parameters are free, loosely held by their nominal values, and where to start.
+
+    `step` is the sensor's, in position: set-valued friction bends by at most a quarter of it.
+    """
+    free = []
+    for name, (low, high) in bounds.items():
+        doubt = max(2.0 * abs(nominal[name]), 0.5 * (high - low), 1e-12)
+        free.append(Free(name, low, high, nominal=nominal[name], doubt=doubt))
+    rigid = f"{law}.Fc" in nominal and not find_law(law).states
+    values = dict(nominal)
+    if rigid:
+        least = max(nominal[f"{law}.Fc"], 1e-9) / (BEND * step)
+        values[f"{RIGID}.stiffness"] = 3 * least
+        values[f"{RIGID}.damping"] = damping = (3 * least * nominal["J"]) ** 0.5
+        free.append(Free(f"{RIGID}.stiffness", least, 100 * least, True, math.log(3 * least), 1.0))
+        free.append(Free(f"{RIGID}.damping", 0.0, 30 * damping, False, damping, 2 * damping))
+    return Servo(law, (), tuple(bounds), tuple(free), fixed, rigid), values
