@@ -11,7 +11,7 @@ Source: janot2019 (inverse dynamic model, linear in most parameters), in integra
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,6 +26,7 @@ from bristle.diagnosis.lens import Motion
 from bristle.diagnosis.noise import Noise, response
 from bristle.diagnosis.segments import Segments
 from bristle.model.errors import BristleError
+from bristle.model.python import for_arrays
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.friction import law as find_law
@@ -44,7 +45,9 @@ class NotInstantError(Exception):
 
 
 @lru_cache(maxsize=64)
-def _acceleration(law: str, effects: tuple[str, ...], free: tuple[str, ...]) -> tuple[ca.Function, tuple[str, ...]]:
+def _acceleration(
+    law: str, effects: tuple[str, ...], free: tuple[str, ...]
+) -> tuple[Callable[[Sequence[Array | float]], list[Array]], tuple[str, ...]]:
     """Return acceleration and derivatives by the free parameters as a function of motion and parameters, and their names."""
     members = [find_effect(name) for name in effects]
     system = servo(find_law(law), False, members)
@@ -57,11 +60,11 @@ def _acceleration(law: str, effects: tuple[str, ...], free: tuple[str, ...]) -> 
         rate = rate - ca.if_else(v > 0, system.dry.bound, -backward) / system.dry.inertia
     names = tuple(system.parameters)
     seen = [system.symbols[name] if name != "time" else system.time for name in SEEN]
-    given = ca.vertcat(*(system.symbols[name] for name in names))
+    given = [system.symbols[name] for name in names]
     still = {"tau_load": 0.0, "load_scale": 1.0}
     rate = ca.substitute(system.expand(rate), ca.vertcat(*(system.symbols[name] for name in still)), ca.DM(list(still.values())))
-    slopes = ca.horzcat(*(ca.jacobian(rate, system.symbols[name]) for name in free)) if free else ca.SX(1, 0)
-    return ca.Function("balance", [*seen, given], [rate, slopes]), names
+    both = ca.vertcat(rate, *(ca.jacobian(rate, system.symbols[name]) for name in free))
+    return for_arrays(ca.Function("balance", [ca.vertcat(*seen, *given)], ca.cse([ca.densify(both)]))), names
 
 
 @dataclass(frozen=True)
@@ -142,11 +145,10 @@ class Balance:
         function, names = _acceleration(law, effects, tuple(f.name for f in free))
         known = {**_defaults(law, effects), **self._fixed, **values}
         m = self.motion
-        rate, slopes = function(m.theta[None], m.v[None], m.u[None], m.time[None], [known[name] for name in names])
-        a = np.asarray(rate).ravel()
-        # one row of slopes after the other, a point each
-        by = np.asarray(slopes).reshape(len(a), len(free)) if free else np.empty((len(a), 0))
-        return a, by * [values[f.name] if f.factor else 1.0 for f in free]
+        found = function([m.theta, m.v, m.u, m.time, *(known[name] for name in names)])
+        a, *by = (np.broadcast_to(each, m.theta.shape) for each in found)
+        scale = [values[f.name] if f.factor else 1.0 for f in free]
+        return a, np.column_stack(by) * scale if free else np.empty((len(a), 0))
 
     def evaluate(
         self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]

@@ -25,7 +25,7 @@ from bristle.plant.friction import law as find_law
 SHORTEST = 0.1  # s: in less, friction and inertia hardly show
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
-SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back
+SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
 EDGE = 0.1  # of the time, at either end, in which no step is looked for
 
 
@@ -68,18 +68,20 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
     Periods: at least two in a turn or, on a linear axis, in the range that was travelled; fewer are no ripple, but any
     slow change with the position. (Friction that changes once in a turn has a cause in a shaft.) A step: where enough is
     seen before and after, else it is a bias with a few odd segments. A stop: touched less than half of the time, else it
-    is a spring or a bias. A dead zone: one that swallows nearly the whole input says that the input explains nothing.
+    is a spring or a bias. A dead zone or a saturation: one that swallows nearly the whole input, or leaves only its sign,
+    says that the input explains nothing.
     """
     least = 2 * 2 * math.pi / bench.turn
     periodic = ("cogging.periods", "position_friction.periods") if bench.linear else ("cogging.periods",)
     first, last = np.quantile(bench.motion.time, [EDGE, 1 - EDGE])
     middle = float(np.median(bench.motion.theta))
-    most = float(np.quantile(np.abs(bench.motion.u), SWALLOWED))
+    least_u, most_u = np.quantile(np.abs(bench.motion.u), [1 - SWALLOWED, SWALLOWED])
     return {
-        "dead_zone.width": (0.0, most),
+        "dead_zone.width": (0.0, float(most_u)),
         "disturbance_step.onset": (float(first), float(last)),
         "hard_stop.upper": (middle, math.inf),
         "hard_stop.lower": (-math.inf, middle),
+        "saturation.limit": (float(least_u), math.inf),
         **{name: (least, math.inf) for name in periodic},
     }
 

@@ -151,10 +151,12 @@ def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
 def _gap_facts(diagnosis: Diagnosis) -> str:
     gap, facts = diagnosis.gap, []
     if gap.shrink is not None and improved(diagnosis):
-        facts.append(f"The gap shrank by <b>{100 * gap.shrink:.1f} %</b>.")
+        most = "at most " if diagnosis.remains.flag else ""  # what is unexplained looks like noise
+        facts.append(f"The gap shrank by {most}<b>{100 * gap.shrink:.1f} %</b>.")
     if gap.ratio is not None:
         begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
-        facts.append(f"{begin} {number(gap.ratio, 3)} times the noise floor.")
+        least = "at least " if diagnosis.remains.flag else ""
+        facts.append(f"{begin} {least}{number(gap.ratio, 3)} times the noise floor.")
     else:
         facts.append("The noise floor could not be estimated, so the share of the gap that closed is not known.")
     return f"<p>{' '.join(facts)}</p>"

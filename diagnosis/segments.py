@@ -111,7 +111,7 @@ class Unstable(SimulationError):
     """A simulation that failed in most of its segments."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)  # four rounds of all effects
 def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...]) -> Native:
     wanted = [*base, *(p.name for name in effects for p in find_effect(name).parameters), *STARTS]
     observed = "v" if velocity else "theta"

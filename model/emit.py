@@ -1,20 +1,32 @@
-"""Print a kernel as C99 or as plain Python: one walk over its instructions, two tables of spellings."""
+"""Print a kernel as C99, as plain Python or as NumPy: one walk over its instructions, three tables of spellings."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 
 from bristle.model.branches import Branch, Line, arranged
 from bristle.model.program import Kernel
 
-# {0}, {1}: operands. A minimum or maximum lets NaN through in both languages.
+
+@dataclass(frozen=True)
+class _Language:
+    """How constants that are no numbers and operations are spelled: operation -> text of its operands {0}, {1}."""
+
+    nan: str
+    inf: str
+    operations: Mapping[int, str]
+
+
+# A minimum or maximum lets NaN through in all languages.
 _SHARED = {
     ca.OP_ASSIGN: "{0}", ca.OP_NEG: "-{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
     ca.OP_DIV: "{0} / {1}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0 * {0}", ca.OP_INV: "1.0 / {0}",
 }
-_C = _SHARED | {
+_C = _Language("NAN", "INFINITY", _SHARED | {
     ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_NE: "{0} != {1}", ca.OP_NOT: "!{0}",
     ca.OP_AND: "({0} != 0) && ({1} != 0)", ca.OP_OR: "({0} != 0) || ({1} != 0)", ca.OP_IF_ELSE_ZERO: "{0} != 0 ? {1} : 0.0",
     ca.OP_SIGN: "(double)(({0} > 0) - ({0} < 0))", ca.OP_FMIN: "({0} < {1} || {0} != {0}) ? {0} : {1}",
@@ -22,8 +34,8 @@ _C = _SHARED | {
     ca.OP_CEIL: "ceil({0})", ca.OP_SQRT: "sqrt({0})", ca.OP_EXP: "exp({0})", ca.OP_LOG: "log({0})", ca.OP_SIN: "sin({0})",
     ca.OP_COS: "cos({0})", ca.OP_TANH: "tanh({0})", ca.OP_ATAN2: "atan2({0}, {1})", ca.OP_POW: "pow({0}, {1})",
     ca.OP_CONSTPOW: "pow({0}, {1})",
-}  # fmt: skip
-_PYTHON = _SHARED | {
+})  # fmt: skip
+_PYTHON = _Language("math.nan", "math.inf", _SHARED | {
     ca.OP_LT: "float({0} < {1})", ca.OP_LE: "float({0} <= {1})", ca.OP_EQ: "float({0} == {1})",
     ca.OP_NE: "float({0} != {1})", ca.OP_NOT: "float(not {0})", ca.OP_AND: "float({0} != 0 and {1} != 0)",
     ca.OP_OR: "float({0} != 0 or {1} != 0)", ca.OP_IF_ELSE_ZERO: "{1} if {0} else 0.0",
@@ -33,21 +45,29 @@ _PYTHON = _SHARED | {
     ca.OP_EXP: "math.exp({0})", ca.OP_LOG: "math.log({0})", ca.OP_SIN: "math.sin({0})", ca.OP_COS: "math.cos({0})",
     ca.OP_TANH: "math.tanh({0})", ca.OP_ATAN2: "math.atan2({0}, {1})", ca.OP_POW: "math.pow({0}, {1})",
     ca.OP_CONSTPOW: "math.pow({0}, {1})",
-}  # fmt: skip
+})  # fmt: skip
+_NUMPY = _Language("np.nan", "np.inf", _SHARED | {
+    ca.OP_LT: "0.0 + ({0} < {1})", ca.OP_LE: "0.0 + ({0} <= {1})", ca.OP_EQ: "0.0 + ({0} == {1})",
+    ca.OP_NE: "0.0 + ({0} != {1})", ca.OP_NOT: "0.0 + ({0} == 0)", ca.OP_AND: "0.0 + (({0} != 0) & ({1} != 0))",
+    ca.OP_OR: "0.0 + (({0} != 0) | ({1} != 0))", ca.OP_IF_ELSE_ZERO: "np.where({0} != 0, {1}, 0.0)",
+    ca.OP_SIGN: "np.sign({0})", ca.OP_FMIN: "np.minimum({0}, {1})", ca.OP_FMAX: "np.maximum({0}, {1})",
+    ca.OP_FABS: "np.abs({0})", ca.OP_FLOOR: "np.floor({0})", ca.OP_CEIL: "np.ceil({0})", ca.OP_SQRT: "np.sqrt({0})",
+    ca.OP_EXP: "np.exp({0})", ca.OP_LOG: "np.log({0})", ca.OP_SIN: "np.sin({0})", ca.OP_COS: "np.cos({0})",
+    ca.OP_TANH: "np.tanh({0})", ca.OP_ATAN2: "np.arctan2({0}, {1})", ca.OP_POW: "np.power({0}, {1})",
+    ca.OP_CONSTPOW: "np.power({0}, {1})",
+})  # fmt: skip
 
 
-def _number(value: float, python: bool) -> str:
+def _number(value: float, spell: _Language) -> str:
     if math.isnan(value):
-        return "math.nan" if python else "NAN"
+        return spell.nan
     if math.isinf(value):
-        sign = "-" if value < 0 else ""
-        return sign + ("math.inf" if python else "INFINITY")
+        return f"-{spell.inf}" if value < 0 else spell.inf
     return repr(float(value)) if value >= 0 and math.copysign(1.0, value) > 0 else f"({float(value)!r})"
 
 
-def _walk(function: ca.Function, reads: tuple[int, ...], python: bool) -> tuple[list[Line], dict[int, str]]:
+def _walk(function: ca.Function, reads: Sequence[int], spell: _Language) -> tuple[list[Line], dict[int, str]]:
     """Return the assignments of a function and the name of each result."""
-    spellings = _PYTHON if python else _C
     lines: list[Line] = []
     current: dict[int, str] = {}  # what each work slot holds now; every value gets a fresh name
     results: dict[int, str] = {}
@@ -63,14 +83,14 @@ def _walk(function: ca.Function, reads: tuple[int, ...], python: bool) -> tuple[
                 lines.append(Line(loaded[key], f"v[{reads[inp[1]]}]" if inp[0] == 0 else "h", ()))
             current[out[0]] = loaded[key]
         elif op == ca.OP_CONST:
-            current[out[0]] = _number(function.instruction_constant(k), python)
+            current[out[0]] = _number(function.instruction_constant(k), spell)
         else:
-            if op not in spellings:
+            if op not in spell.operations:
                 raise NotImplementedError(f"operation {op} of {function.name()} has no spelling; add it to model/emit.py")
             name, operands = f"a{len(lines)}", [current[i] for i in inp]
             needs = tuple(each for each in operands if each.startswith("a"))
             branch = operands if op == ca.OP_IF_ELSE_ZERO and len(needs) == len(operands) else ("", "")
-            lines.append(Line(name, spellings[op].format(*operands), needs, *branch))
+            lines.append(Line(name, spell.operations[op].format(*operands), needs, *branch))
             current[out[0]] = name
     return lines, results
 
@@ -80,7 +100,7 @@ def emit_c(kernel: Kernel) -> str:
     array = "out" if kernel.to_output else "v"
     text = [f"static void {kernel.name}(double *v, double h, double *out)", "{", "    (void)v; (void)h; (void)out;"]
     for function, targets in kernel.blocks:
-        lines, results = _walk(function, kernel.reads, python=False)
+        lines, results = _walk(function, kernel.reads, _C)
         text.append("    {")
         for line in arranged(lines, results.values()):
             text += _branch(line) if isinstance(line, Branch) else [f"        const double {line.name} = {line.text};"]
@@ -104,7 +124,14 @@ def emit_python(kernel: Kernel) -> str:
     array = "out" if kernel.to_output else "v"
     text = [f"def {kernel.name}(v, h, out):"]
     for function, targets in kernel.blocks:
-        lines, results = _walk(function, kernel.reads, python=True)
+        lines, results = _walk(function, kernel.reads, _PYTHON)
         text += [f"    {line.name} = {line.text}" for line in lines]
         text += [f"    {array}[{targets[k]}] = {results[k]}" for k in sorted(results)]
     return "\n".join([*text, *([] if kernel.blocks else ["    pass"]), "", ""])
+
+
+def emit_numpy(function: ca.Function, name: str) -> str:
+    """Return a function of one vector as NumPy code ``name(v)``: v and the result are sequences of numbers or equal arrays."""
+    lines, results = _walk(function, range(function.numel_in(0)), _NUMPY)
+    text = [f"def {name}(v):", *(f"    {line.name} = {line.text}" for line in lines)]
+    return "\n".join([*text, f"    return [{', '.join(results[k] for k in sorted(results))}]", ""])

@@ -14,7 +14,7 @@ from bristle.model.cache import cached, digest
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.errors import BristleError, SimulationError
 from bristle.model.program import Program
-from bristle.model.sources import c_sources
+from bristle.model.sources import c_sources, fingerprint
 
 Array = NDArray[np.float64]
 
@@ -27,9 +27,9 @@ def pointer(array: NDArray[np.generic] | None) -> ctypes.c_void_p | None:
 def compile_program(program: Program) -> ctypes.CDLL:
     """Compile a program (or take it from the cache) and load it."""
     batch = (files("bristle.model") / "c" / "batch.c").read_text(encoding="utf-8")
-    sources = c_sources(program) | {"batch.c": batch}
-    key = digest(*FLAGS, compiler_identity(), *(text for pair in sorted(sources.items()) for text in pair))
-    path = cached(f"{program.name}-{key[:24]}{SUFFIX}", lambda out: compile_shared(sources, out))
+    key = digest(*FLAGS, compiler_identity(), batch, *fingerprint(program))
+    name = f"{program.name}-{key[:24]}{SUFFIX}"
+    path = cached(name, lambda out: compile_shared(c_sources(program) | {"batch.c": batch}, out))
     library = ctypes.CDLL(str(path))
     library.batch_run.restype = library.batch_steps.restype = ctypes.c_longlong
     if program.observed:

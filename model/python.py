@@ -1,16 +1,35 @@
-"""A program as plain Python: generated text, or the same functions evaluated by CasADi; both drive `runtime.Core`."""
+"""Functions in this process without a compiler: a program for `runtime.Core`, as text or by CasADi; one function for arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from bristle.model.emit import emit_python
+from bristle.model.emit import emit_numpy, emit_python
 from bristle.model.program import Kernel, Program
 from bristle.model.sources import KERNELS
+
+Array = NDArray[np.float64]
+
+
+def for_arrays(function: ca.Function) -> Callable[[Sequence[Array | float]], list[Array]]:
+    """Return a function of one vector (k,) as one of k numbers or arrays of equal shape, one operation for all of them.
+
+    Some ten times as fast as CasADi's own evaluation, point by point. Divisions by zero give infinity or NaN, silently.
+    """
+    namespace: dict[str, Any] = {"np": np}
+    exec(compile(emit_numpy(function, "evaluated"), f"<{function.name()}>", "exec"), namespace)
+
+    def evaluated(v: Sequence[Array | float]) -> list[Array]:
+        with np.errstate(all="ignore"):
+            return [np.asarray(x) for x in namespace["evaluated"]([np.asarray(each, dtype=float)[()] for each in v])]
+
+    return evaluated
 
 
 def python_source(program: Program) -> str:

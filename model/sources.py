@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 
 from bristle.model.emit import emit_c
-from bristle.model.program import Program, Variant
+from bristle.model.program import Kernel, Program, Variant
 
 KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian", "seen_jacobian")
 
@@ -27,8 +28,21 @@ def _variant(variant: Variant) -> tuple[str, str]:
     return tables, "    {" + ", ".join(map(str, [*pointers, *numbers, *places])) + "}"
 
 
-def c_sources(program: Program) -> dict[str, str]:
-    """Return file name -> text of everything that makes the program run, standing alone."""
+def fingerprint(program: Program) -> tuple[str, ...]:
+    """Return texts that are the same where the sources are the same, far sooner than the sources: nothing is spelled out."""
+    package = files("bristle.model")
+    spelling = ((package / name).read_text(encoding="utf-8") for name in ("emit.py", "branches.py"))
+    return (*spelling, *(text for pair in sorted(c_sources(program, _stored).items()) for text in pair))
+
+
+def _stored(kernel: Kernel) -> str:
+    """Return what stands for a kernel: its functions as CasADi stores them, and the places it reads and writes."""
+    functions = [hashlib.sha256(function.serialize().encode()).hexdigest() for function, _ in kernel.blocks]
+    return repr((kernel.name, functions, [tuple(targets) for _, targets in kernel.blocks], kernel.reads, kernel.to_output))
+
+
+def c_sources(program: Program, spell: Callable[[Kernel], str] = emit_c) -> dict[str, str]:
+    """Return file name -> text of everything that makes the program run, standing alone; `spell` gives that of a kernel."""
     most = max(len(a.states) for a in program.variants)
     jacobian = max(a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0 for a in program.variants)
     header = f"""/* {program.name}: {program.description} (generated) */
@@ -46,7 +60,7 @@ def c_sources(program: Program) -> dict[str, str]:
     body = [f"/* {program.name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
     entries = []
     for variant in program.variants:
-        body += [emit_c(kernel) for kernel in variant.kept().values()]
+        body += [spell(kernel) for kernel in variant.kept().values()]
         tables, entry = _variant(variant)
         body.append(tables)
         entries.append(entry)

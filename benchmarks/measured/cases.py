@@ -186,9 +186,12 @@ def _warned(mass: float, own: dict[str, float], entries: Sequence[Entry]) -> str
 
 # -- ODrive --------------------------------------------------------------------------------------------------------------
 
+GONE, SMALLER = 0.05, 0.5  # of what it was
+
 
 def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
     """A brushless motor turned slowly, its cogging compensated or not; the current is the input, the position the output."""
+    plain = math.nan  # ripple without the compensation
     for compensated in (False, True):
         model = declared("current", {"J": 2.5e-4, "a2": 1e-3, "Fc": 5e-3, "b": 7.5e-3})
         entries = measured.odrive(compensated)
@@ -198,12 +201,20 @@ def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
         found = diagnose(model, records)
         ripple = float(np.sqrt(np.mean([_ripple(t, y) ** 2 for _, t, _, y, _ in entries])))
         numbers = {"ripple of the position, rms": f"{1e3 * ripple / (2 * math.pi):.2f}e-3 turns"}
+        if compensated:
+            numbers["cogging in the motion"] = f"{ripple / plain:.0%} of that without compensation: {_weakened(ripple / plain)}"
+        plain = ripple
         periods, amplitude, share = _strongest(records, model.parameters["b"])
         seen = f"{1e3 * amplitude:.2f}e-3 N·m, {periods} in a turn, {share:.0%} of its variance"
         numbers["strongest wave of the motor's torque along the position"] = seen
         wanted = (frozenset({"cogging"}),)
         data = {"compensated": compensated, "gain": model.parameters["b"]}
         yield Run(f"ODrive, compensation {word}", "cogging hidden", wanted, tuple(records), found, numbers, data)
+
+
+def _weakened(ratio: float) -> str:
+    """Return in words what is left of an effect."""
+    return "gone" if ratio < GONE else "much smaller, not gone" if ratio < SMALLER else "not compensated"
 
 
 def _ripple(t: Array, y: Array) -> float:
