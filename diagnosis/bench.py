@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.balance import Balance, Joint
 from bristle.diagnosis.candidates import RIGID, Servo
-from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, refit, resume
+from bristle.diagnosis.fit import ROUGH, Fit, Free, Problem, refit, rescored, resume
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.noise import Noise, estimate, response
 from bristle.diagnosis.segments import Segments
@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LONG = 40  # steps of the first fit, which may be far from its end
-SETTLE = 2  # times that noise and parameters are estimated in turn
+PASSES, BOLD = 8, 2  # times at most that noise and parameters are estimated in turn; that they are under a brief noise
+FAST, BRIEF = 10.0, 30.0  # Hz: a noise with such a corner hides nothing; corner of one under which nothing can hide
 BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
@@ -59,8 +60,8 @@ class Bench:
         """Return a problem over these segments."""
         return Problem(noise, judged, self.segments.seen, self.segments.starts, self.segments.spread)
 
-    def noise(self, residual: Array, weight: Array, values: Mapping[str, float]) -> Noise:
-        """Return the noise of a residual (segments, bins), from the segments in motion.
+    def noise(self, residual: Array, weight: Array, values: Mapping[str, float], slowest: float = 0.0) -> Noise:
+        """Return the noise of a residual (segments, bins), from the segments in motion; `slowest` as of `estimate`.
 
         At rest friction takes the disturbance and the sensor repeats its last step: that says nothing of their size.
         """
@@ -69,11 +70,36 @@ class Bench:
         in_motion = weight * share
         weight = in_motion if np.count_nonzero(in_motion > 0.5) >= FEWEST else weight
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
-        return estimate(residual, weight, pulses, s.h, self.least)
+        return estimate(residual, weight, pulses, s.h, self.least, slowest)
 
     def left_by(self, fit: Fit) -> Problem:
         """Return the problem of the segments that the search may see, under the noise that a fit leaves."""
         return self.problem(self.noise(fit.residual, fit.weight, fit.values), self.train)
+
+    def settled(self, fit: Fit) -> Fit:
+        """Return a fit refitted under the noise that it leaves itself, until neither changes.
+
+        What a model explains only in part hides in the noise that it leaves, if that is slow: parameters and noise keep
+        each other where they are. Under a noise that cannot be slow it has to be explained; from there they may find
+        another end, and the more likely one counts.
+        """
+        end = self._in_turn(fit)
+        if end.noise.corner >= FAST:
+            return end
+        bold = fit
+        for _ in range(BOLD):
+            problem = self.problem(self.noise(bold.residual, bold.weight, bold.values, BRIEF), self.train)
+            bold = resume(problem, bold, LONG, ROUGH)
+        return max(end, self._in_turn(bold), key=lambda each: each.total)
+
+    def _in_turn(self, fit: Fit) -> Fit:
+        for _ in range(PASSES):
+            problem = self.left_by(fit)
+            before = rescored(problem, fit).total
+            fit = resume(problem, fit, LONG, ROUGH)
+            if fit.total < before + ROUGH:
+                break
+        return fit
 
     def missed(self, fit: Fit) -> float:
         """Return the squared error over that of the motion within segments, less a straight line each."""
@@ -108,8 +134,7 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
     residual = np.where(good[:, None], bench.segments.seen - seen, 0.0)
     noise = bench.noise(residual, (judged & good).astype(float), values)
     fit = refit(bench.problem(noise, judged), simulator, servo.free, values, starts, LONG, enough=ROUGH)
-    for _ in range(SETTLE):
-        fit = resume(bench.left_by(fit), fit, enough=ROUGH)
+    fit = bench.settled(fit)
     problem = bench.left_by(fit)
     return Stage(servo, problem, resume(problem, fit))
 

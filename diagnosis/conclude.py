@@ -36,9 +36,9 @@ def conclude(
     last = rounds[-1]
     ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
     named = final.servo.effects[len(model.effects) :]
-    verdict = "named" if named else _unnamed(last)
     gap = gap_between(model, bench, base, final)
     left = remains(after, final.fit.values, named, gap, bench.turn)
+    verdict = "named" if named else _unnamed(last, bench.narrow, left)
     intervals = estimates(model, whole)
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
@@ -93,11 +93,13 @@ def _open(verdict: Verdict) -> tuple[str, ...]:
     return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
 
 
-def _unnamed(last: Verdict) -> str:
+def _unnamed(last: Verdict, narrow: str, left: answer.Remains) -> str:
+    """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses."""
     classes = {group(name) for name in _open(last)}
     if not classes:
-        return "none"
-    return "tie" if len(classes) <= story.MANY and not last.withdrawn else "not_identifiable"
+        return "not_identifiable" if narrow and (left.flag or last.best) else "none"
+    many = story.MANY_UNIFORM if narrow else story.MANY
+    return "tie" if len(classes) <= many and not last.withdrawn else "not_identifiable"
 
 
 def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:

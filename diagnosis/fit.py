@@ -310,11 +310,12 @@ def refit(
         gain = float((trial.here - fit.here)[problem.judged].sum()) + trial.prior - fit.prior
         trust = np.where(trial.here < fit.here, 0.25 * trust, np.minimum(2 * trust, 1.0))
         open_ = fit.total - fit.prior - float(fit.here[problem.judged].sum())  # what the start states promise beside
+        failed = 0 if gain >= enough else failed + 1
         if gain > 0:
-            fit, damping, failed = trial, damping / 5, 0
+            fit, damping = trial, damping / 5
         else:
-            damping, failed = max(damping, 1e-4) * 8, failed + 1
-        if promise + min(open_, enough) < enough or 0 <= gain < enough or failed > PATIENCE:
+            damping = max(damping, 1e-4) * 8
+        if promise + min(open_, enough) < enough or failed > PATIENCE:
             break
     return fit
 

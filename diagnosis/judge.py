@@ -19,7 +19,7 @@ from bristle.plant.effects import effect as find_effect
 Array = NDArray[np.float64]
 
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
-SIZE = 1.15  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
+SIZE = 1.2  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
 DOUBTLESS = 10.0  # times the null's level: a gain beyond doubt, whose size may be that of a typical segment
@@ -28,6 +28,7 @@ MARK = 3.0  # nats: what one segment may say about it
 WIDE_MARK = 8.0  # the same where it is to prove that the best candidate holds on segments kept from the search:
 SHOWN, LOSS = 0.25, 10.0  # it must show this share of what they would gain if they were like the others, less so many nats,
 ENOUGH, RATTLE = 16.0, 4.0  # of which so many are enough, or so many where contacts go another way in each run
+HELP = 1.1  # and their squared error must fall by this factor, unless it only shows in a few, or contacts differ in each run
 CEDED = 0.1  # share of the gain that they may lose to an effect that lives elsewhere
 
 
@@ -56,6 +57,8 @@ def judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Seque
     beyond = _inside(stage, beyond)
     best = max(beyond, key=lambda c: c.merit)
     contenders = [c for c in beyond if c.gain_over(stage.fit) > CONTENDER * best.gain_over(stage.fit)]
+    contenders = [replace(c, fit=bench.settled(c.fit)) for c in contenders if c.fit]
+    best = max(contenders, key=lambda c: c.merit)
     problem, contenders = _under_best_noise(bench, stage, best, contenders)
     contenders = _inside(stage, contenders)
     best = max(contenders, key=lambda c: c.merit)
@@ -142,13 +145,14 @@ def _tested(bench: Bench, held: Problem, without: _Without, candidate: Candidate
     found = max(candidate.gain_over(without.fit), 0.0)
     before, after = without.squares, squares(candidate.fit, bench.train)
     size = whole = fall(before, after, effect.local)
+    kept = squares(old, held.judged), squares(new, held.judged)
     if found > DOUBTLESS * level:
-        kept_too = typical_fall(squares(old, held.judged), squares(new, held.judged))
-        size = max(size, min(typical_fall(before, after), kept_too))
+        size = max(size, min(typical_fall(before, after), typical_fall(*kept)))
     like = found * len(gains) / max(int(np.count_nonzero(bench.train)), 1)
     least = min(SHOWN * like - LOSS, RATTLE if effect.coupling else ENOUGH)
     proven = bool(_clipped(gains, WIDE_MARK) > (-LOSS - CEDED * found if effect.local else least))
-    return Test(whole, _clipped(gains, MARK), size >= SIZE, proven)
+    helps = effect.local or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > HELP
+    return Test(whole, _clipped(gains, MARK), size >= SIZE, proven and helps)
 
 
 def _clipped(gains: Array, most: float) -> float:

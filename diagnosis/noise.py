@@ -56,11 +56,12 @@ def _memory(n: int, decay: float) -> Array:
     return np.asarray(np.exp(-decay * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))))
 
 
-def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: float) -> Noise:
+def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: float, slowest: float = 0.0) -> Noise:
     """Return the most likely noise of residuals (segments, bins), given the weight of each segment.
 
     The start states of segments are unknown, so that constants and ramps tell nothing: likelihood of what is left.
-    Parameters: pulses as of `response`; least: standard deviation of an average below which the sensor cannot be.
+    Parameters: pulses as of `response`; least: standard deviation of an average below which the sensor cannot be; slowest:
+    corner frequency [Hz] below which that of the disturbance cannot be.
 
     Source: patterson1971 (restricted maximum likelihood).
     """
@@ -70,7 +71,7 @@ def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: fl
     seen = free.T @ residual.T
     sample = (seen * weights) @ seen.T / weights.sum()
     best = (np.inf, 0.0, 0.0, CORNERS[0])
-    for corner in CORNERS:
+    for corner in (c for c in CORNERS if c >= slowest):
         full = colour(pulses, corner, h)
         unit = np.trace(full) / bins
         values, vectors = np.linalg.eigh(free.T @ full @ free / unit)

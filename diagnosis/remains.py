@@ -10,7 +10,7 @@ from bristle.plant.effects import effect as find_effect
 
 LEFT = 0.15  # share of the squared error that a view must explain before something is said to remain
 CERTAIN = 0.03  # p over all views, from which on a share is believed
-VAIN = 1.0  # of the error before: a name that leaves more on the stretches kept from the search is not the whole story
+VAIN = 0.9  # of the error before: a name that leaves more on the stretches kept from the search is not the whole story
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
 ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there

@@ -23,7 +23,7 @@ SEPARATE = {  # what tells effects of one class apart
     "only damping makes it lose energy",
 }
 UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
-MANY = 3  # classes in a tie from which on the records name nothing
+MANY, MANY_UNIFORM = 3, 2  # most classes in a tie: with more, or with more in a uniform motion, the records name nothing
 
 AXES = {  # first part of a view -> name and kind of quantity
     "theta": ("position", "angle"), "v": ("velocity", "speed"), "a": ("acceleration", "acceleration"),
@@ -116,7 +116,8 @@ def statement(
     if verdict == "none":
         lines.append("No effect explains more than chance or than what would matter.")
     if verdict == "not_identifiable":
-        lines.append("Something is missing, but too many effects explain it alike: these records do not name it.")
+        why = "too many effects explain it alike" if ties else "the motion is too uniform to tell what"
+        lines.append(f"Something is missing, but {why}: these records do not name it.")
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
     unit = gap.unit.removesuffix(")2").removeprefix("(")
     most = "at most " if remains.flag else ""  # what is unexplained looks like noise
