@@ -38,7 +38,7 @@ def conclude(
     named = final.servo.effects[len(model.effects) :]
     gap = gap_between(model, bench, base, final)
     left = remains(after, final.fit.values, named, gap, bench.turn)
-    verdict = "named" if named else _unnamed(last, bench.narrow, left)
+    verdict = "named" if named else unnamed(last, bench.narrow, left)
     intervals = estimates(model, whole)
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
@@ -93,7 +93,7 @@ def _open(verdict: Verdict) -> tuple[str, ...]:
     return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
 
 
-def _unnamed(last: Verdict, narrow: str, left: answer.Remains) -> str:
+def unnamed(last: Verdict, narrow: str, left: answer.Remains) -> str:
     """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses."""
     classes = {group(name) for name in _open(last)}
     if not classes:

@@ -12,7 +12,7 @@ import pytest
 
 from bristle.diagnosis.figures import Rig, draw, telling
 from bristle.diagnosis.report import interval, render
-from bristle.diagnosis.result import Estimate, Named, Trace
+from bristle.diagnosis.result import Estimate, Named, Remains, Trace
 from bristle.diagnosis.story import view_name
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
@@ -80,6 +80,14 @@ def test_a_named_effect_comes_with_its_parameters_and_the_shrink(answer):
     assert "amplitude amplitude of the first term 0.0600 ± 0.0018 N·m" in text
     assert "shrank by 99.8 %" in text
     assert "coulomb.Fc N·m 0.1 0.1270 ± 0.0038 0.12000 ± 0.00084" in text
+
+
+def test_where_something_remains_the_gap_shrank_by_at_most_so_much(answer):
+    flagged = replace(answer("named"), remains=Remains(True, "theta", 0.4))
+    text = text_of(page_of(flagged))
+    assert "shrank by at most 99.8 %" in text
+    assert "the mean squared error was at least" in text
+    assert "at least" not in text_of(page_of(answer("named")))
 
 
 def test_excitation_is_a_table_in_words_with_its_caveats(answer):

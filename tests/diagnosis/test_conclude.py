@@ -1,0 +1,42 @@
+"""The verdict where nothing was named: what the records leave open depends on how varied the motion is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis.candidates import Candidate
+from bristle.diagnosis.conclude import unnamed
+from bristle.diagnosis.judge import Verdict
+from bristle.diagnosis.null import Null
+from bristle.diagnosis.result import Remains
+
+UNIFORM = "one oscillation"
+QUIET, LEFT = Remains(False, None, 0.0), Remains(True, "theta", 0.5)
+
+
+def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False) -> Verdict:
+    candidate = Candidate(best, None) if best else None
+    return Verdict((), Null(np.zeros(1), {}), 0.0, candidate, 20.0, 1.1, ties, "", withdrawn=withdrawn)
+
+
+@pytest.mark.parametrize(
+    ("last", "narrow", "left", "verdict"),
+    [
+        (round_of(), "", QUIET, "none"),
+        (round_of(), "", LEFT, "none"),
+        (round_of("bias"), "", LEFT, "none"),  # certain but small
+        (round_of(), UNIFORM, QUIET, "none"),
+        (round_of(), UNIFORM, LEFT, "not_identifiable"),
+        (round_of("bias"), UNIFORM, QUIET, "not_identifiable"),
+        (round_of("bias", ("gravity",)), "", LEFT, "tie"),
+        (round_of("bias", ("gravity",)), UNIFORM, LEFT, "tie"),
+        (round_of("bias", ("gravity", "cogging")), "", LEFT, "tie"),
+        (round_of("bias", ("gravity", "cogging")), UNIFORM, LEFT, "not_identifiable"),
+        (round_of("bias", ("gravity", "cogging", "stribeck")), "", LEFT, "not_identifiable"),
+        (round_of("bias", ("asymmetric_coulomb", "gravity")), UNIFORM, LEFT, "tie"),  # of two classes
+        (round_of("bias", withdrawn=True), UNIFORM, LEFT, "not_identifiable"),
+    ],
+)
+def test_verdict_without_a_name(last: Verdict, narrow: str, left: Remains, verdict: str) -> None:
+    assert unnamed(last, narrow, left) == verdict

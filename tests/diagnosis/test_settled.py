@@ -1,0 +1,77 @@
+"""Parameters and noise estimated in turn: what a model explains in part must not hide in the noise that it leaves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bristle.diagnosis import Model, Record, bench, records_from_arrays
+from bristle.diagnosis.candidates import freedom
+from bristle.diagnosis.fit import Fit, refit
+from bristle.diagnosis.prepare import base_of, bench_of
+from bristle.model.native import Native
+from bristle.plant.servo import servo_program
+
+H, STEP = 1e-3, 2 * np.pi / 16384
+TRUE = {"gravity.amplitude": 0.03, "asymmetric_coulomb.share": 0.1}
+
+
+def simulated(model: Model, seed: int) -> Record:
+    """Return 12 s of a servo with a weight, friction that differs by direction, and a disturbance of 10 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(12000) * H
+    f = np.array([0.15, 0.37, 0.61, 0.93, 1.7, 2.9, 4.3, 7.1, 11.0])
+    size = 0.12 * np.array([1.0, 1.5, 1.5, 1.5, 1.5, 1.2, 1.0, 0.7, 0.5])
+    u = size @ np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 2 * np.pi, len(f))[:, None])
+    pole = np.exp(-2 * np.pi * 10 * H)
+    noise = lfilter([1 - pole], [1, -pole], rng.standard_normal(len(t)))
+    setting = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "u_max": 1e6}
+    native = Native(servo_program("coulomb", effects=tuple(name.split(".")[0] for name in TRUE)), setting | TRUE)
+    out, _ = native.run(H, {"u": u, "tau_load": 0.003 * noise / np.std(noise)}, ["theta"])
+    [record] = records_from_arrays(model, [(f"run {seed}", t, u, np.floor(out[:-1, 0] / STEP) * STEP)])
+    return record
+
+
+@pytest.fixture(scope="module")
+def asymmetric() -> tuple[bench.Bench, Fit]:
+    """A bench, and a fit with one of the two effects that hardly moves: the other one, unknown, passes as slow noise."""
+    tree: dict[str, Any] = {
+        "friction": "coulomb",
+        "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
+        "time": {"column": "t", "unit": "s"},
+        "input": {"column": "u", "kind": "torque", "unit": "N.m"},
+        "output": {"column": "theta", "kind": "position", "unit": "rad"},
+    }
+    model = Model.from_dict(tree)
+    own = bench_of(model, [simulated(model, seed) for seed in (1, 2)])
+    base = bench.settle(own, *base_of(model, own))
+    free = (*base.servo.free, *freedom("asymmetric_coulomb", {"share": 0.0}, {}))
+    simulator = base.servo.simulator(own.segments, ("asymmetric_coulomb",))
+    begin = {**base.fit.values, "asymmetric_coulomb.share": 0.0}
+    return own, refit(base.problem, simulator, free, begin, base.fit.starts)
+
+
+def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[bench.Bench, Fit]) -> None:
+    _, first = asymmetric
+    assert first.noise.corner < bench.FAST
+    assert first.values["asymmetric_coulomb.share"] < 0.3 * TRUE["asymmetric_coulomb.share"]
+
+
+def test_settled_it_is_likelier_and_nearer_the_truth(asymmetric: tuple[bench.Bench, Fit], monkeypatch: pytest.MonkeyPatch) -> None:
+    own, first = asymmetric
+    end = own.settled(first)
+    monkeypatch.setattr(bench, "FAST", 0.0)  # as if no noise were slow
+    timid = own.settled(first)
+    assert end.total > timid.total + 30
+    true = TRUE["asymmetric_coulomb.share"]
+    assert abs(end.values["asymmetric_coulomb.share"] - true) < 0.5 * abs(timid.values["asymmetric_coulomb.share"] - true)
+
+
+def test_where_it_has_settled_nothing_moves_any_more(asymmetric: tuple[bench.Bench, Fit]) -> None:
+    own, first = asymmetric
+    end = own.settled(first)
+    again = own.settled(end)
+    assert again.total == pytest.approx(end.total, abs=2.0)
