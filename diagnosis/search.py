@@ -29,7 +29,7 @@ HINT = 0.05  # p of a view that calls for another round
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
 MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise most after the first steps
 PLAIN, PLAIN_LOCAL = 3.0, 1.8  # a further effect lowers the error so, or so if it shows in few segments only,
-MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained,
+MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
 MUCH, AGAIN = 1.5, 15.0  # or so, or gains this share, and gains so many nats on segments kept from the search
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
 
@@ -182,7 +182,7 @@ def _worth_adding(verdict: Verdict, first: float) -> bool:
     if verdict.size >= PLAIN or (verdict.size >= PLAIN_LOCAL and verdict.best and find_effect(verdict.best.name).local):
         return True
     strong, holds = verdict.gain >= ALSO * first, verdict.kept >= AGAIN
-    return (strong and (holds or verdict.size >= MORE)) or (holds and verdict.size >= MUCH)
+    return (strong and (holds or (verdict.size >= MORE and verdict.kept > 0))) or (holds and verdict.size >= MUCH)
 
 
 def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]:

@@ -38,8 +38,8 @@ the voltage. The model does not know of gravity. Those who recorded it also name
     "bam_go1_load": """Runs of 6 s at 62.5 Hz with 0, 1, 2 and 3 kg at 0.15 m. The model is fitted to the runs without a load; with
 one, gravity and inertia must grow in proportion. The logged torque is that of the rotor, ahead of a gear that nobody mentions.""",
     "odrive_cogging": """A motor turned once, slowly, three times with its anti-cogging compensation off and three times on; the
-input is the measured current, which holds that of the compensation: what it mends is the motion, not the motor, so that cogging
-is there to be named in both.""",
+input is the measured current, which holds that of the compensation: what it mends is the motion, not the motor. With it off the
+cogging must be named; with it on it must be gone from the motion or much smaller, and may be named or not.""",
 }
 
 
