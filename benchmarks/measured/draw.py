@@ -139,8 +139,8 @@ def odrive(runs: Sequence[Run]) -> Any:
                 cogging += p.get("amplitude2", 0.0) * np.sin(2 * angle + p.get("phase2", 0.0))
                 label = f"against cogging as named, {p['periods']:.2f} in a turn"
                 ax.plot(DEGREES * theta, 1e3 * (np.mean(middle) - cogging), color=BLUE, label=label)
-        ax.margins(y=0.18)
-        ax.legend(loc="upper left", ncols=2, fontsize=8)
+        ax.margins(y=0.28)
+        ax.legend(loc="upper left", fontsize=8)
         set_title(ax, f"compensation {'on' if run.data['compensated'] else 'off'}; said: {run.said}")
         ax.set_xlabel("position, deg")
     axes[0].set_ylabel("torque, 10⁻³ N·m")
