@@ -236,7 +236,7 @@ def diagnose(
     out: Annotated[Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model")],
     model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml")] = None,
     fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu")] = None,
-    choose: Annotated[str | None, typer.Option(help="effect to add when several tie", metavar="NAME")] = None,
+    choose: Annotated[str | None, typer.Option(help="effect to add when effects of several classes tie", metavar="NAME")] = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
     debug: DebugOption = False,
 ) -> None:
@@ -244,9 +244,10 @@ def diagnose(
     if model is None and fmu is None:
         raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
     _check_effect(choose)
-    from bristle.diagnosis.export import IncompleteError, write
+    from bristle.diagnosis.export import IncompleteError, check_places, write
     from bristle.model.output import check_writable
 
+    check_places(out, [path for path in (model, fmu, *data) if path is not None])
     check_writable(out)
     with _fraction("diagnose") as tell:
         found = _diagnosed(model, fmu, data, tell)
@@ -286,7 +287,8 @@ def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell:
 
 def _summary(found: Diagnosis) -> None:
     """Print the answer: the sentences, and the effects with their parameters."""
-    for line in (*found.statement, *found.proposals):
+    text = "\n".join(found.statement)
+    for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
         print(line)
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]
     for effect in found.effects:

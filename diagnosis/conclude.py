@@ -64,7 +64,7 @@ def conclude(
         base=plain,
         parameters=own,
         rounds=tuple(_round(v) for v in rounds),
-        undetected=story.undetected(last.candidates, last.null, named, model),
+        undetected=story.undetected(last.candidates, last.null, last.base, named, model),
         traces=_traces(bench, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,
@@ -135,9 +135,11 @@ def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.
     before, after = found
     table = {share.view: share for share in after}
     views: list[answer.View] = []
+    maps = 0
     for share in before:
         late = table[share.view]
-        drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if len(views) < MAPS else {}
+        drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if maps < MAPS else {}
+        maps += bool(drawn)
         views.append(answer.View(share.view, share.share, share.p, late.share, late.p, share.label, **drawn))
     return tuple(views), after
 

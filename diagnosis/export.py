@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -78,6 +78,10 @@ def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
     if choose in diagnosis.choices:
         return
     members = ", ".join(diagnosis.choices) or ", ".join(name for tie in diagnosis.ties for name in tie)
+    mates = next((tie for tie in diagnosis.ties if choose in tie), ())
+    named = [effect.name for effect in diagnosis.effects if effect.name in mates]
+    if named:
+        raise BristleError(f"--choose {choose}: of one class with '{named[0]}', which stands for both in the model; leave it out")
     if diagnosis.verdict != "tie":
         raise BristleError(f"--choose {choose}: there is no tie to choose from, the verdict is '{diagnosis.verdict}'; leave it out")
     raise BristleError(f"--choose {choose}: not a member of the tie; choose one of: {members}")
@@ -223,11 +227,23 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
     """
     out = Path(out)
     check_writable(out)
+    check_places(out)
     package = _package(diagnosis, choose, fmi)
     written = _replace(out, package.content)
     if package.problems:
         raise IncompleteError(f"{package.problems[0]} (all else is in {out})")
     return written
+
+
+def check_places(out: Path, inputs: Iterable[Path] = ()) -> None:
+    """Raise `BristleError` if writing into `out` would take the place of an input, or of a folder."""
+    places = {(Path(out) / name).resolve(): name for name in OURS}
+    for path in inputs:
+        if Path(path).resolve() in places:
+            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder with --out")
+    for place, name in places.items():
+        if place.is_dir():
+            raise BristleError(f"{out}: '{name}' in it is a folder, and a file of that name is to be written; move it away")
 
 
 def _replace(out: Path, content: Mapping[str, bytes]) -> list[Path]:

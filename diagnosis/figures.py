@@ -134,7 +134,7 @@ def rms(square: float | None, rig: Rig) -> tuple[float, str]:
 
 def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     gap = diagnosis.gap
-    first = "before" if improved(diagnosis) else "refitted model"
+    first = "before" if improved(diagnosis) else "model as given" if diagnosis.proposals else "refitted model"
     rows = [(first, gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if improved(diagnosis) else [])
     values = [rms(square, rig)[0] for _, square, _ in rows]
     floor, unit = rms(gap.noise_floor, rig)
@@ -155,7 +155,7 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     ax.set_yticks([])
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
-    set_labels(ax, x=f"rms error over held-out segments, {unit}")
+    set_labels(ax, x=f"rms error over {'all' if diagnosis.proposals else 'held-out'} segments, {unit}")
     _narrow_left(figure)
     return figure
 
@@ -315,7 +315,8 @@ def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
         ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
         gain = max(candidate.gain, 0.0) if math.isfinite(candidate.gain) else 0.0
         ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
-        text = f"{candidate.name}  {candidate.gain:.3g}" + (f"  ({candidate.note})" if candidate.note else "")
+        gained = f"{candidate.gain:.0f}" if abs(candidate.gain) >= 100 else f"{candidate.gain:.3g}"
+        text = f"{candidate.name}  {gained}" + (f"  ({candidate.note})" if candidate.note else "")
         ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
     ax.set_xlim(0, right)
     ax.set_ylim(len(drawn) - 0.5, -0.6)
@@ -342,8 +343,11 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     shrink = " The shrink is that of the mean square above this floor." if both and band else ""
     before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
     colours = ", before (orange) and after (blue)" if both else ""
+    segments = "short segments that took no part in the search"
+    if diagnosis.proposals:
+        segments = "short segments, of the model as it was given: nothing was fitted and nothing looked for"
     return {
-        "gap": ("The gap", f"Root of the mean squared error over short segments that took no part in the search.{band}{shrink}"),
+        "gap": ("The gap", f"Root of the mean squared error over {segments}.{band}{shrink}"),
         "overlay": (
             "Before and after" if both else "Measured and simulated",
             f"Each segment starts from its own fitted position and velocity.{before} Green shade: held out of the search.",
@@ -355,7 +359,8 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
         ),
         "candidates": (
             "What each effect would gain",
-            "Rise of the log-likelihood when the effect is added and everything refitted. Grey: what chance gives it, "
-            "all candidates together, in all but two of a thousand records without any effect. Blue: added; red: tied.",
+            "Rise of the log-likelihood (in nats: 3 more are 20 times as likely) when the effect is added and "
+            "everything refitted. Shaded up to the dashed line: what chance gives it, all candidates together, in all but two of "
+            "a thousand records without any effect. Blue: added; red: tied; pale: neither.",
         ),
     }

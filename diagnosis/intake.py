@@ -72,15 +72,15 @@ class Record:
         return len(self.time)
 
 
-def load_records(model: Model, paths: Sequence[Path | str]) -> list[Record]:
+def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list[Record]:
     """Read measured files, check and mend them.
 
     Parameters
     ----------
     model : Model
         Names the columns and their units.
-    paths : sequence of path
-        CSV, MAT, NPZ or Parquet files.
+    paths : path or sequence of path
+        CSV, MAT, NPZ or Parquet files, each once.
 
     Returns
     -------
@@ -92,8 +92,14 @@ def load_records(model: Model, paths: Sequence[Path | str]) -> list[Record]:
     BristleError
         One line: what, where, what is allowed, what to do.
     """
+    if isinstance(paths, str | Path):
+        paths = [paths]
     if not paths:
         raise BristleError("no record is given; give at least one measured file")
+    real = [Path(path).resolve() for path in paths]
+    for k, path in enumerate(real):
+        if path in real[:k]:
+            raise BristleError(f"record {paths[k]}: is given twice; a copy is no second measurement: leave it out")
     read = [_read(model, Path(path)) for path in paths]
     stems = [Path(path).stem for path in paths]
     names = [f"{stem}#{stems[:i].count(stem) + 1}" if stems.count(stem) > 1 else stem for i, stem in enumerate(stems)]
@@ -123,8 +129,8 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     records: list[Record] = []
     origin: float | None = None
     for entry in arrays:
-        if len(entry) != 4:
-            raise BristleError(f"a record has {len(entry)} entries; give (name, time, u, y)")
+        if not isinstance(entry, list | tuple) or len(entry) != 4:
+            raise BristleError(f"record {len(records) + 1}: is not (name, time, u, y); give these four")
         name, *given = entry
         time, u, y = (_vector(name, key, values) for key, values in zip(("time", "input", "output"), given, strict=True))
         if not len(time) == len(u) == len(y):
@@ -188,7 +194,10 @@ def _read(model: Model, path: Path) -> tuple[Array, Array, Array]:
 
 def _vector(name: str, key: str, values: ArrayLike) -> Array:
     try:
-        array = np.asarray(values, dtype=float)
+        array = np.asarray(values)
+        if array.dtype.kind == "c":
+            raise TypeError
+        array = array.astype(float)
     except (TypeError, ValueError):
         raise BristleError(f"record {name}: {key} is not an array of numbers; give one of shape (n,)") from None
     if array.ndim != 1:
@@ -251,7 +260,7 @@ def _pieces(model: Model, raw: _Raw) -> list[Record]:
         raw.say(f"piece {name} left out: {why}")
     if not records:
         if len(runs) == 1:
-            length = f"lasts {raw.time[-1] - raw.time[0]:.3g} s; at least {BRIEFEST:g} s are needed"
+            length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s; at least {BRIEFEST:g} s are needed"
             raise raw.error(f"{length}: record longer, or correct [time] unit")
         raise raw.error(f"no piece between gaps lasts {BRIEFEST:g} s with {SHORTEST} samples; record without gaps")
     records[0] = replace(records[0], findings=(*raw.lines, *records[0].findings))

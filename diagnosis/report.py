@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from bristle.diagnosis.figures import Rig, captions, improved
 from bristle.diagnosis.modelfile import si_unit
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
@@ -102,7 +104,7 @@ class _Writer:
     def base(self, diagnosis: Diagnosis, choose: str | None) -> str:
         """Return the model's parameters: nominal, refitted, refitted with the effects."""
         nominal = dict(diagnosis.model.parameters) if diagnosis.model is not None else {}
-        columns = {"refitted alone": diagnosis.base}
+        columns = {"refitted alone": diagnosis.base} if diagnosis.base and not diagnosis.proposals else {}
         if diagnosis.effects:
             columns["refitted with " + _listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
         for name, found in diagnosis.choice_parameters.items():
@@ -150,15 +152,20 @@ def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
 
 def _gap_facts(diagnosis: Diagnosis) -> str:
     gap, facts = diagnosis.gap, []
+    if diagnosis.proposals:
+        return ""  # nothing was fitted
+    most, least = ("at most ", "at least ") if diagnosis.remains.flag else ("", "")  # what is unexplained looks like noise
     if gap.shrink is not None and improved(diagnosis):
-        most = "at most " if diagnosis.remains.flag else ""  # what is unexplained looks like noise
-        facts.append(f"The gap shrank by {most}<b>{100 * gap.shrink:.1f} %</b>.")
-    if gap.ratio is not None:
-        begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
-        least = "at least " if diagnosis.remains.flag else ""
-        facts.append(f"{begin} {least}{number(gap.ratio, 3)} times the noise floor.")
-    else:
+        closed = gap.noise_floor is not None and gap.after <= gap.noise_floor and not diagnosis.remains.flag
+        rest = ": what is left is no more than disturbance and sensor alone give" if closed else ""
+        facts.append(f"The gap shrank by {most}<b>{100 * gap.shrink:.1f} %</b>{rest}.")
+    if gap.ratio is None:
         facts.append("The noise floor could not be estimated, so the share of the gap that closed is not known.")
+    elif improved(diagnosis) or gap.ratio > 1:
+        begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
+        facts.append(f"{begin} {least}{number(gap.ratio, 3)} times the noise floor.")
+    elif not diagnosis.remains.flag:
+        facts.append("The error is no larger than what disturbance and sensor alone give.")
     return f"<p>{' '.join(facts)}</p>"
 
 
@@ -201,14 +208,14 @@ def _fact(key: str, value: Any) -> tuple[str, str]:
 
 
 def _excitation(diagnosis: Diagnosis) -> str:
-    rows = [_fact(key, value) for key, value in diagnosis.excitation.items() if key != "caveats"]
+    rows = [_fact(key, value) for key, value in diagnosis.excitation.items() if key != "caveats" and value != ""]
     said = _items(diagnosis.excitation.get("caveats", ()))
     return (table(("of the records", ""), rows) if rows else "") + said
 
 
 def _undetected(diagnosis: Diagnosis) -> str:
     rows = [(escape(name), escape(text)) for name, text in diagnosis.undetected.items()]
-    return table(("effect", "would have been seen from"), rows) if rows else ""
+    return table(("effect", "what these records say of it"), rows) if rows else ""
 
 
 def _rounds(diagnosis: Diagnosis) -> str:
@@ -232,9 +239,8 @@ def _files(files: Mapping[str, str]) -> str:
 def _records(diagnosis: Diagnosis) -> str:
     said = []
     for trace in diagnosis.traces:
-        samples = f"{len(trace.time):,} samples".replace(",", "\u202f")
-        said.append(f"{trace.name} ({samples})")
-    return "; ".join(said)
+        said.append(f"{trace.name} ({number(float(np.ptp(trace.time)), 3)} s)")
+    return "; ".join(said) or "records and a model that do not speak of the same thing"
 
 
 def render(
@@ -282,7 +288,7 @@ def render(
         _section("Excitation", _excitation(diagnosis)),
         _section("Findings", _items(diagnosis.findings)),
         _section("The model's own parameters", writer.base(diagnosis, choose)),
-        _section("What was not found, and what would have been seen", _undetected(diagnosis)),
+        _section("What was not found, and how much of it would have been seen", _undetected(diagnosis)),
         _section("The search", _rounds(diagnosis)),
         _section("Files", _files(files)),
     ]

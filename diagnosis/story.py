@@ -60,8 +60,8 @@ def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str) -> 
     return " ".join(lines)
 
 
-def undetected(candidates: Sequence[Candidate], null: Null, named: Sequence[str], model: Model) -> dict[str, str]:
-    """Return for each effect that was not found how large it may be without being seen."""
+def undetected(candidates: Sequence[Candidate], null: Null, base: float, named: Sequence[str], model: Model) -> dict[str, str]:
+    """Return for each effect that was not found how large it may be without being seen; `base` is the likelihood without it."""
     found: dict[str, str] = {}
     for c in candidates:
         if c.name in named:
@@ -69,7 +69,9 @@ def undetected(candidates: Sequence[Candidate], null: Null, named: Sequence[str]
         if c.fit is None:
             found[c.name] = c.refused
             continue
-        found[c.name] = _limit(c, null, model)
+        gain = c.fit.total - base
+        seen = f"something like it shows (gain {gain:.0f} nats), but too little of it, or nothing where it was not sought"
+        found[c.name] = seen if gain > null.level(c.name) else _limit(c, null, model)
     return found
 
 
@@ -121,14 +123,14 @@ def statement(
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
     unit = gap.unit.removesuffix(")2").removeprefix("(")
     most = "at most " if remains.flag else ""  # what is unexplained looks like noise
+    alone = f"disturbance and sensor alone give {most}{rms[2]:.3g} {unit}"
+    if rms[2] >= rms[1]:
+        alone = "disturbance and sensor alone give " + ("less, but how much less is not known" if remains.flag else "as much")
     if effects:
-        lines.append(
-            f"On stretches kept from the search the rms error of the output falls from {rms[0]:.3g} to {rms[1]:.3g} {unit}; "
-            f"disturbance and sensor alone give {most}{rms[2]:.3g} {unit}."
-        )
+        fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {unit}"
+        lines.append(f"On stretches kept from the search the rms error of the output {fallen}; {alone}.")
     else:
-        lines.append(f"The rms error of the output is {rms[0]:.3g} {unit} with refitted parameters; "
-                     f"disturbance and sensor alone would give {most}{rms[2]:.3g} {unit}.")  # fmt: skip
+        lines.append(f"The rms error of the output is {rms[0]:.3g} {unit} with refitted parameters; {alone}.")
     if remains.flag:
         where = view_name(remains.view or "")
         lines.append(f"Something remains that none of the effects explains: {remains.share:.0%} of the residual follows {where}.")

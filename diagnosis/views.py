@@ -211,9 +211,11 @@ def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -
 
 
 def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, Any]:
-    """Return the residual torques (samples,) averaged in bins of a view, as the fields of `result.View`."""
+    """Return the residual torques (samples,) averaged in bins of a view: fields of `result.View`, none where it has no axis."""
     along, _, side = view.partition(" x ")
-    x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "theta": m.theta}.get(along, m.time)
+    x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "tone": m.time, "theta": m.theta}.get(along)
+    if x is None:  # travel, rates and single stretches have no axis of their own here
+        return {}
     way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)
     groups = [m.moving] if way is None else [m.moving & (way > 0), m.moving & (way < 0)]
     low, high = np.quantile(x, [0.002, 0.998]).tolist()

@@ -20,6 +20,7 @@ from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import Tell, search
 from bristle.diagnosis.size import mean_square
+from bristle.model.errors import BristleError
 
 
 def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = None) -> answer.Diagnosis:
@@ -34,12 +35,19 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     progress : function, optional
         Called with a text and the fraction done.
 
+    Returns
+    -------
+    Diagnosis
+        Verdict, effects with parameters (SI) and intervals, ties, views, gap, and all else that the report shows.
+
     Raises
     ------
     BristleError
-        If the records are too short or the model cannot be simulated.
+        If there is no record, if all are too short, or if the model cannot be simulated.
     """
     begun = time.perf_counter()
+    if not records:
+        raise BristleError("no record is given; give at least one")
     tell = progress or (lambda text, fraction: None)
     said = check(model, records)
     bench = bench_of(model, records)
@@ -59,8 +67,9 @@ def mend_first(
     `gap` is the mean squared error of the model as it is [output squared]; `lines` are findings to begin with.
     """
     why = "No effect was looked for: data and model disagree in a way that is more likely a mistake in one of them. Proposed: "
+    proposed = "; ".join(line.rstrip("?.") for line in said.proposals)
     return answer.Diagnosis(
-        verdict="not_identifiable", statement=(why + "; ".join(said.proposals) + ".",), effects=(), ties=(), experiment="",
+        verdict="not_identifiable", statement=(f"{why}{proposed}.",), effects=(), ties=(), experiment="",
         where=(), remains=answer.Remains(False, None, 0.0), gap=answer.Gap(gap, gap, None, f"({model.output_unit})2"),
         excitation=excitation(model, records), findings=(*lines, *(f for r in records for f in r.findings), *said.findings),
         base={}, parameters={}, rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=seconds,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from importlib.resources import files
 
@@ -69,6 +70,13 @@ class Native:
                 raise BristleError(f"'{name}' is no parameter of {program.name} ({self.variant.system.name}); known: {known}")
             self._v[program.index[name]] = value
         self.reset()
+
+    def twin(self) -> Native:
+        """Return another instance of the same compiled program, with its own state: both may run at the same time."""
+        other = copy(self)
+        other.core = ctypes.create_string_buffer(len(self.core))
+        other.reset()
+        return other
 
     def reset(self, time: float = 0.0) -> None:
         """Set all states to their start values."""

@@ -6,6 +6,7 @@ import csv
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,15 @@ from bristle.model.units import parse_unit
 Array = NDArray[np.float64]
 
 
-def read_columns(path: Path) -> dict[str, Array]:
+class Columns(dict[str, Array]):
+    """Columns by name, each of shape (n,); `unusable` says of others what they hold instead of numbers."""
+
+    def __init__(self, columns: Mapping[str, Array], unusable: Mapping[str, str]) -> None:
+        super().__init__(columns)
+        self.unusable = dict(unusable)
+
+
+def read_columns(path: Path) -> Columns:
     """Return all numeric columns of a file by name, each of shape (n,); an empty field of a CSV is NaN.
 
     Raises
@@ -38,7 +47,8 @@ def read_columns(path: Path) -> dict[str, Array]:
     except Exception as error:  # each format's reader has its own exceptions
         raise _unreadable(path, error) from None
     if not columns:
-        raise BristleError(f"record {path}: no column of numbers; check the file")
+        held = "".join(f"; '{name}' holds {what}" for name, what in columns.unusable.items())
+        raise BristleError(f"record {path}: no column of numbers{held}; give plain vectors of equal length")
     return columns
 
 
@@ -46,7 +56,7 @@ def _unreadable(path: Path, error: Exception) -> BristleError:
     return BristleError(f"record {path}: cannot be read: {' '.join(str(error).split())}; check the file")
 
 
-def _read_csv(path: Path) -> dict[str, Array]:
+def _read_csv(path: Path) -> Columns:
     with path.open(newline="", encoding="utf-8-sig") as stream:
         first = stream.readline()
         while first and not first.strip():
@@ -67,7 +77,7 @@ def _read_csv(path: Path) -> dict[str, Array]:
             table = np.empty((0, 0))
     if table.shape[1] != len(header) or not len(table):
         table = _read_rows(path, separator, len(header))
-    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(header)}
+    return Columns({name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(header)}, {})
 
 
 def _read_rows(path: Path, separator: str, width: int) -> Array:
@@ -100,7 +110,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_mat(path: Path) -> dict[str, Array]:
+def _read_mat(path: Path) -> Columns:
     from scipy.io import loadmat
 
     with path.open("rb") as stream:
@@ -111,27 +121,41 @@ def _read_mat(path: Path) -> dict[str, Array]:
     return _vectors({name: value for name, value in found.items() if not name.startswith("__")})
 
 
-def _read_npz(path: Path) -> dict[str, Array]:
+def _read_npz(path: Path) -> Columns:
+    if not is_zipfile(path):
+        raise BristleError(f"record {path}: is no NPZ archive; save it with numpy.savez")
     with np.load(path, allow_pickle=False) as archive:
         return _vectors(dict(archive))
 
 
-def _read_parquet(path: Path) -> dict[str, Array]:
+def _read_parquet(path: Path) -> Columns:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     with path.open("rb") as stream:
         table = pq.read_table(stream)
     numeric = [field.name for field in table.schema if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
-    return {name: table[name].to_numpy().astype(float) for name in numeric}
+    other = {field.name: f"{field.type} values" for field in table.schema if field.name not in numeric}
+    return Columns({name: table[name].to_numpy().astype(float) for name in numeric}, other)
 
 
-def _vectors(found: Mapping[str, NDArray[np.generic]]) -> dict[str, Array]:
-    numeric = {name: np.asarray(value) for name, value in found.items() if np.asarray(value).dtype.kind in "fiu"}
-    return {name: value.astype(float).ravel() for name, value in numeric.items() if value.size == max(value.shape, default=0)}
+def _vectors(found: Mapping[str, NDArray[np.generic]]) -> Columns:
+    arrays = {name: np.asarray(value) for name, value in found.items()}
+    unusable = {name: why for name, value in arrays.items() if (why := _no_vector(value))}
+    return Columns({name: value.astype(float).ravel() for name, value in arrays.items() if name not in unusable}, unusable)
 
 
-READERS: dict[str, Callable[[Path], dict[str, Array]]] = {
+KINDS = {"U": "text", "S": "text", "c": "complex numbers", "M": "timestamps", "m": "durations", "V": "a struct", "b": "booleans"}
+
+
+def _no_vector(value: NDArray[np.generic]) -> str:
+    """Return what an array holds that cannot serve as a column, or an empty text."""
+    if value.dtype.kind not in "fiu":
+        return KINDS.get(value.dtype.kind, "objects")
+    return "" if value.size == max(value.shape, default=0) else f"an array of shape {value.shape}"
+
+
+READERS: dict[str, Callable[[Path], Columns]] = {
     ".csv": _read_csv,
     ".mat": _read_mat,
     ".npz": _read_npz,
@@ -165,6 +189,8 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
 
 def si_column(where: str, columns: Mapping[str, Array], name: str, unit: str, scale: str | None, si_unit: str) -> Array:
     """Return a column in SI units, shape (n,); `where` begins the line of an error."""
+    if what := getattr(columns, "unusable", {}).get(name):
+        raise BristleError(f"{where}: column '{name}' holds {what}; give one number a sample")
     if name not in columns:
         raise BristleError(f"{where}: no column '{name}'{suggest(name, list(columns))}; there are: {', '.join(columns)}")
     try:

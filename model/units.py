@@ -63,13 +63,20 @@ def parse_unit(text: str) -> Unit:
         for token in part.strip("()").split(".") if part else ():
             match = re.fullmatch(r"(1|%|[A-Za-z]+?)(-?\d*)", token)
             if match is None or match[1] not in _SYMBOLS:
-                raise BristleError(f"unit '{text}': '{token}' is not known; known: {' '.join(_SYMBOLS)}")
+                raise BristleError(f"unit '{text}': '{token}' is not known{_joined(token)}; known: {' '.join(_SYMBOLS)}")
             scale, dimensions = _SYMBOLS[match[1]]
             power = sign * int(match[2] or 1)
             factor *= scale**power
             for base, exponent in dimensions.items():
                 exponents[base] += power * exponent
     return Unit(text, factor, tuple(exponents[base] for base in BASE))
+
+
+def _joined(token: str) -> str:
+    """Return a question if a token is two symbols without the dot between them."""
+    pairs = ((token[:i], token[i:]) for i in range(1, len(token)))
+    meant = next((f"{a}.{b}" for a, b in pairs if a in _SYMBOLS and re.sub(r"\d+$", "", b) in _SYMBOLS), "")
+    return f", did you mean '{meant}'?" if meant else ""
 
 
 def per_second(text: str) -> str:

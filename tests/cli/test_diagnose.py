@@ -186,3 +186,16 @@ def test_list_names_the_effects(call: Call) -> None:
     assert code == 0
     assert "bias" in said
     assert "constant torque (class bias/asymmetric_coulomb)" in said
+
+
+@pytest.mark.parametrize("given", [("out/augmented.toml", "a.csv"), ("m.toml", "out/diagnosis.json")])
+def test_what_is_read_is_not_written_over(given: tuple[str, str], call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in given]
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("mine")
+    code, _, error = call("diagnose", paths[0], "--data", paths[1], "--out", tmp_path / "out")
+    assert code == 2
+    assert "would be replaced" in error
+    assert "arguments" not in asked  # before time is spent
+    assert [path.read_text() for path in paths] == ["mine", "mine"]

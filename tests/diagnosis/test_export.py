@@ -238,3 +238,26 @@ def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(answer, fa
     assert done.passed, done.result["checks"]
     assert done.result["estimates"]["b"]["true"] == pytest.approx(6.5)
     assert done.result["estimates"]["alpha2"]["true"] == pytest.approx(2.0)
+
+
+def test_what_was_read_is_not_written_over(tmp_path):
+    for name in export.OURS:
+        with pytest.raises(BristleError, match="would be replaced"):
+            export.check_places(tmp_path, [tmp_path / "model.toml", tmp_path / "." / name])
+    export.check_places(tmp_path, [tmp_path / "model.toml", tmp_path / "below" / export.OURS[0]])
+
+
+def test_a_folder_in_the_way_stays(answer, tmp_path):
+    (tmp_path / "report.html").mkdir()
+    (tmp_path / "report.html" / "precious").write_text("mine")
+    with pytest.raises(BristleError, match="is a folder"):
+        export.write(answer("none"), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    assert (tmp_path / "report.html" / "precious").read_text() == "mine"
+
+
+def test_a_class_mate_of_what_was_named_cannot_be_chosen(answer):
+    named = answer("named")
+    tied = replace(named, ties=((named.effects[0].name, "gravity"),))
+    with pytest.raises(BristleError, match="of one class"):
+        export.augment(tied, "gravity")

@@ -221,11 +221,23 @@ def test_what_cannot_be_mended_is_refused_in_one_line(change, words, model, mess
 def test_no_record_and_wrong_entries(model, message, tmp_path):
     assert "no record" in message(lambda: load_records(model, []))
     assert "no record" in message(lambda: records_from_arrays(model, []))
-    assert "give (name, time, u, y)" in message(lambda: records_from_arrays(model, [("a", [0.0], [0.0])]))
+    for entry in (("a", [0.0], [0.0]), 1, "abcd"):
+        assert "is not (name, time, u, y)" in message(lambda entry=entry: records_from_arrays(model, [entry]))
+    t, u, y = motion()
+    assert "input is not an array of numbers" in message(lambda: records_from_arrays(model, [("a", t, u * 1j, y)]))
     np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,torque,theta", comments="")
     text = message(lambda: load_records(model, [tmp_path / "r.csv"]))
     assert "r.csv: input: no column 'u'" in text
     assert "t, torque, theta" in text
+
+
+def test_one_path_is_a_list_of_one_and_none_counts_twice(model, message, tmp_path):
+    np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,u,theta", comments="")
+    [alone] = load_records(model, tmp_path / "r.csv")
+    [same] = load_records(model, str(tmp_path / "r.csv"))
+    assert alone.name == same.name == "r"
+    twice = [tmp_path / "r.csv", tmp_path / "." / "r.csv"]
+    assert "is given twice" in message(lambda: load_records(model, twice))
 
 
 # -- samples ---------------------------------------------------------------------------------------------------------------

@@ -63,6 +63,18 @@ def test_it_speaks_on_each_mistake(name, positions, velocities, tree):
     assert "output looks like a velocity, not a position" in line
 
 
+@pytest.mark.parametrize("name", list(effects()))
+def test_a_mistake_in_one_of_two_records_is_said_of_that_one(name, positions, measured, tree):
+    model, [(t, u, y)] = declared(tree), positions[name]
+    second = measured(name, 2)[:3]
+    assert said(model, [(t, u, y), second]).proposals == ()
+    mistakes = {"input sign looks flipped": (t, -u, y), "torque looks a factor": (t, 1e3 * u, y), "position looks": (t, u, y / 60)}
+    for words, wrong in mistakes.items():
+        [line] = said(model, [second, wrong]).proposals
+        assert line.startswith("record run1: ")
+        assert words in line
+
+
 def test_it_names_the_likely_unit(positions, tree):
     model, data = declared(tree), positions["bias"]
     [line] = said(model, data, lambda t, u, y: (t, u * 1e3, y)).proposals

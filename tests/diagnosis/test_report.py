@@ -90,6 +90,15 @@ def test_where_something_remains_the_gap_shrank_by_at_most_so_much(answer):
     assert "at least" not in text_of(page_of(answer("named")))
 
 
+def test_a_proposal_is_no_fit(answer):
+    diagnosis = answer("proposals")
+    text = text_of(render(diagnosis, draw(diagnosis), {}))
+    assert "of the model as it was given" in text
+    assert "took no part in the search" not in text
+    assert "the gap that closed" not in text
+    assert "refitted alone" not in text
+
+
 def test_excitation_is_a_table_in_words_with_its_caveats(answer):
     text = text_of(page_of(answer("named")))
     assert "time at rest 4 %" in text

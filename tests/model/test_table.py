@@ -107,9 +107,43 @@ def test_a_bad_csv_says_where(content, words, tmp_path):
 def test_a_file_of_another_kind_is_one_line(suffix, tmp_path):
     path = tmp_path / f"bad{suffix}"
     path.write_bytes(b"these are only some words, and then some more, so that there is something to look at " * 4)
-    with pytest.raises(BristleError, match="cannot be read") as caught:
+    with pytest.raises(BristleError, match=r"cannot be read|is no NPZ archive") as caught:
         read_columns(path)
     assert "\n" not in str(caught.value)
+    assert "pickle" not in str(caught.value)
+
+
+OTHERS = {
+    "text": np.array(["a", "b", "c"]), "complex numbers": np.ones(3) * 1j, "booleans": np.ones(3, dtype=bool),
+    "an array of shape (2, 3)": np.ones((2, 3)), "timestamps": np.array(["2020-01-01"] * 3, dtype="datetime64[s]"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", OTHERS)
+def test_a_column_that_holds_no_numbers_is_named_with_what_it_holds(what, tmp_path):
+    path = tmp_path / "odd.npz"
+    np.savez(path, t=np.arange(3.0), u=OTHERS[what])
+    columns = read_columns(path)
+    with pytest.raises(BristleError, match="column 'u' holds") as caught:
+        si_column("record odd", columns, "u", "1", None, "1")
+    assert what in str(caught.value)
+    np.savez(path, u=OTHERS[what])
+    with pytest.raises(BristleError, match="no column of numbers; 'u' holds"):
+        read_columns(path)
+
+
+def test_a_parquet_column_of_another_type_is_named(tmp_path):
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(pyarrow.table({"t": [0.0, 1.0], "u": ["a", "b"]}), tmp_path / "r.parquet")
+    with pytest.raises(BristleError, match="column 'u' holds string values"):
+        si_column("record r", read_columns(tmp_path / "r.parquet"), "u", "1", None, "1")
+
+
+def test_a_unit_without_its_dot_is_guessed():
+    with pytest.raises(BristleError, match=r"did you mean 'N\.m'"):
+        factor_to("Nm", None, "N.m")
+    with pytest.raises(BristleError, match=r"did you mean 'kg\.m2'"):
+        factor_to("kgm2", None, "kg.m2")
 
 
 def test_units_and_scales():
