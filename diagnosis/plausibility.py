@@ -96,10 +96,10 @@ def check(model: Model, records: Sequence[Record]) -> Plausibility:
     nominal = _nominal(model)
     findings = _outside(model, nominal, value, error)
     single = tuple(_single(model, records, gain, nominal)) if len(records) > 1 else ()
-    if 0 < len(single) < len(records):  # a mistake in some of several records hides in what all of them give, or blurs it
-        return Plausibility(single, tuple(findings), fit)
     whole = _structure(model, records, rows, gain, nominal, value, error) or _factor(model, nominal, value, error)
-    return Plausibility((whole,) if whole else single, tuple(findings), fit)
+    if whole and (not single or len(single) > len(records) / 2):
+        return Plausibility((whole,), tuple(findings), fit)
+    return Plausibility(single, tuple(findings), fit)  # a mistake in a few of them hides in what all give, or blurs it
 
 
 def _single(model: Model, records: Sequence[Record], gain: float, nominal: Array) -> Iterator[str]:
