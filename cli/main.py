@@ -5,6 +5,7 @@ Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an er
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -323,6 +324,8 @@ def _check_interrupt() -> None:
 def main() -> None:
     """Run the command line; every mistake of the user ends as one line and exit code 2."""
     debug = "--debug" in sys.argv
+    for library in ("OPENBLAS", "OMP", "MKL"):  # before NumPy: on matrices this small its threads only wait for each other
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:
