@@ -72,9 +72,9 @@ class Bench:
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
         return estimate(residual, weight, pulses, s.h, self.least, slowest)
 
-    def left_by(self, fit: Fit) -> Problem:
-        """Return the problem of the segments that the search may see, under the noise that a fit leaves."""
-        return self.problem(self.noise(fit.residual, fit.weight, fit.values), self.train)
+    def left_by(self, fit: Fit, slowest: float = 0.0) -> Problem:
+        """Return the problem of the segments that the search may see, under the noise that a fit leaves; `slowest` as there."""
+        return self.problem(self.noise(fit.residual, fit.weight, fit.values, slowest), self.train)
 
     def settled(self, fit: Fit) -> Fit:
         """Return a fit refitted under the noise that it leaves itself, until neither changes.
@@ -88,8 +88,7 @@ class Bench:
             return end
         bold = fit
         for _ in range(BOLD):
-            problem = self.problem(self.noise(bold.residual, bold.weight, bold.values, BRIEF), self.train)
-            bold = resume(problem, bold, LONG, ROUGH)
+            bold = resume(self.left_by(bold, BRIEF), bold, LONG, ROUGH)
         return max(end, self._in_turn(bold), key=lambda each: each.total)
 
     def _in_turn(self, fit: Fit) -> Fit:

@@ -115,6 +115,10 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count() or 1, "records")
 
 
+if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads, and would wait for them for ever
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
 class Unstable(SimulationError):
     """A simulation that failed in most of its segments."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+
 import numpy as np
 import pytest
 
@@ -179,3 +181,20 @@ def test_no_reversal_amplifies_a_start():
         assert good.all()
         assert np.abs(exact[:, :, -1]).max() <= 1.01 * H * WIDTH * BINS
         assert np.abs(exact[:, :, -2]).max() <= 1.5
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="this system does not fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # of a process with threads: what is tested
+def test_a_forked_process_does_not_wait_for_threads_it_has_not(segments):
+    twice = Segments((*segments.pieces, *segments.pieces), H, WIDTH, BINS, False)
+    work = simulator(twice, (), False)
+    here = work.run(VALUES, twice.starts)[0]  # the threads are at work from here on
+    context = multiprocessing.get_context("fork")
+    answers = context.SimpleQueue()
+    child = context.Process(target=lambda: answers.put(work.run(VALUES, twice.starts)[0]))
+    child.start()
+    child.join(30)
+    hangs = child.is_alive()
+    child.kill()
+    assert not hangs
+    np.testing.assert_array_equal(answers.get(), here)
