@@ -1,0 +1,28 @@
+"""The switching observer with least squares for step 2 from position alone; alpha2 and b known."""
+
+from __future__ import annotations
+
+from bristle.observer import martinez_poznyak, smoothing, zhang
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    velocity, states = smoothing.smooth(p, s)
+    step = martinez_poznyak.step(p, velocity, p.alpha2, p.b)
+    return Update(states | step, *martinez_poznyak.published(p, p.alpha2))
+
+
+METHOD = Method(
+    "martinez_poznyak_position",
+    "switching observer with least squares for step 2 from position, after Martinez and Poznyak; alpha2 and b known",
+    martinez_poznyak.SOURCE,
+    "y_theta",
+    (
+        *zhang.known_parameters("martinez_poznyak_position"),
+        smoothing.parameter("martinez_poznyak_position"),
+        *martinez_poznyak.parameters("martinez_poznyak_position", 10.0, 5.0),
+    ),
+    (*smoothing.STATES, *martinez_poznyak.STATES),
+    _equations,
+)
