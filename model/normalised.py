@@ -11,6 +11,7 @@ NORMALISED = {  # name: (unit, meaning)
     "sigma2": ("1/s2", "weight of basis function 2"),
     "c": ("1/rad", "inverse presliding distance"),
     "tau": ("s", "bristle damping over stiffness"),
+    "vc": ("rad/s", "speed above which friction is Coulomb and viscous"),
 }
 
 

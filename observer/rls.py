@@ -14,6 +14,7 @@ from bristle.observer.method import Method, Sample, Update, Workshop, stack, uns
 SX = ca.SX
 EQUATION = "ljung1999 section 11.2; dixit2008 eq. (23)"
 NAMES = units("alpha2", "b", "Fc")
+GATE = math.radians(85.0)
 LARGEST = 1e13  # trace of the covariance, above any start
 
 
@@ -100,10 +101,10 @@ def _covariance(row: int, column: int) -> State:
     return State(f"p{3 * row + column}", "1", "covariance of the estimates", initial=start)
 
 
-def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027) -> tuple[Parameter, ...]:
+def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027, vc: float = GATE) -> tuple[Parameter, ...]:
     """Declare gate and filter under a method's name."""
     return (
-        Parameter(f"{prefix}.vc", "vc", "rad/s", 85.0 * math.pi / 180.0, 0.0, 1e3, "speed above which the fit runs", EQUATION),
+        Parameter(f"{prefix}.vc", "vc", "rad/s", vc, 0.0, 1e3, "speed above which the fit runs", EQUATION),
         Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 1e-3, 1e5, "corner of each of the two low-pass sections", EQUATION),
         Parameter(f"{prefix}.hold_off", "t_h", "s", hold_off, 0.0, 10.0, "wait after low speed (the filters forget it)", EQUATION),
     )

@@ -10,6 +10,7 @@ import casadi as ca
 from bristle.model.variables import Namespace, Parameter, State
 
 SX = ca.SX
+NEGLIGIBLE = 0.05  # of Coulomb friction: what is left of the Stribeck effect where step 1 may look
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ def stribeck_curve(p: Namespace, v: SX) -> SX:
     Source: armstrong1994 (Stribeck curve, Gaussian form).
     """
     return SX(p.Fc + (p.Fs - p.Fc) * ca.exp(-((v / p.vs) ** 2)))
+
+
+def stribeck_end(p: Namespace) -> SX:
+    """Return the speed above which that level exceeds Fc by less than `NEGLIGIBLE` of it."""
+    return SX(p.vs * ca.sqrt(ca.log(ca.fmax((p.Fs - p.Fc) / (NEGLIGIBLE * p.Fc), 1))))
 
 
 def stribeck_parameters(law: str, source: str) -> tuple[Parameter, ...]:
