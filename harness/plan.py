@@ -233,7 +233,7 @@ def identification(setup: Setup) -> Bus:
             record=setup.ports("observer"), flags=flags, watch=("observer",),
         )  # fmt: skip
     driven = [] if setup.scenario.open_loop else ["controller"]
-    links = _loop_links(setup) + [(("controller", "u"), ("observer", "u"))] if driven else []
+    links = [*_loop_links(setup), (("controller", "u"), ("observer", "u"))] if driven else []
     for source, to in zip(setup.sensor, ("y_theta", "y_v"), strict=True):
         if observer.has(to, "input"):
             links.append((("plant", source), ("observer", to)))

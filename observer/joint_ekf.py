@@ -5,8 +5,6 @@ Least squares at high speed give alpha2 and b first; the filter then runs on all
 
 from __future__ import annotations
 
-import math
-
 import casadi as ca
 
 from bristle.model.normalised import units
@@ -14,7 +12,16 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import kalman, rls
 from bristle.observer.kalman import STATES
 from bristle.observer.method import (
-    Method, Sample, Update, Workshop, stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
+    Method,
+    Sample,
+    Update,
+    Workshop,
+    stack,
+    stack_symmetric,
+    symmetric_states,
+    unstack,
+    unstack_symmetric,
+    vector_states,
 )  # fmt: skip
 
 SX = ca.SX
@@ -40,8 +47,8 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX]:
     z, covariance = kalman.predict(_servo, stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER), s.u, s.period)
     rates = [SX(0), p.noise_v, p.noise_w, *(p.noise_parameters * spread**2 for spread in SPREADS.values())]
     error = s.y1 + p.resolution / 2 - z[0]
-    variance = ca.fmax(p.resolution, 1e-6) ** 2 / 12
-    z, covariance, _ = kalman.correct(z, kalman.noisy(covariance, rates, s.period), error, variance, p.gate)
+    noisy = kalman.noisy(covariance, rates, s.period)
+    z, covariance, _ = kalman.correct(z, noisy, error, kalman.rounding(p.resolution), p.gate)
     place = {name: STATES + i for i, name in enumerate(ENTRIES)}
     low = {place[name]: SX(least) for name, least in LOWEST.items()}
     return kalman.bounded(z, low, {place[name]: SX(most) for name, most in HIGHEST.items()}), covariance
@@ -71,21 +78,17 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare the start, the noise and the sensor's step."""
     noise = "jazwinski1970 chapter 8"
     return (
+        *kalman.parameters(prefix),
         *rls.parameters(prefix),
         Parameter(f"{prefix}.start_time", "T0", "s", 10.0, 0.0, 1e6, "when the filter begins", "ljung1999 section 11.2"),
         *(
             Parameter(f"{prefix}.{name}_start", name, ENTRIES[name], start, -1e9, 1e9, f"start of the estimate of {name}", noise)
             for name, start in STARTS.items()
         ),
-        Parameter(
-            f"{prefix}.resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, "step of the position sensor; 0: none",
-            "dixit2008 section IV-A",
-        ),
         Parameter(f"{prefix}.noise_v", "q_v", "rad2/s3", 0.1, 0.0, 1e9, "process noise of v", noise),
         Parameter(f"{prefix}.noise_w", "q_w", "rad2/s5", 10.0, 0.0, 1e9, "process noise of w", noise),
-        Parameter(f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, "process noise of each parameter over its spread", noise),
-        Parameter(f"{prefix}.gate", "g", "1", 3.0, 0.1, 1e6, "largest error that counts in full, in standard deviations", "huber1981"),
-    )  # fmt: skip
+        Parameter(f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, "process noise of a parameter over its spread", noise),
+    )
 
 
 def _covariance() -> tuple[State, ...]:

@@ -5,12 +5,14 @@ The vector is (theta, v, w) and seven entries that say what the parameters are; 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
 from bristle.model.basis import BASIS_COUNT, gaussian
+from bristle.model.variables import Parameter
 
 SX = ca.SX
 STATES = 3  # theta, v, w
@@ -35,6 +37,23 @@ class Servo:
     def friction(self, v: SX, w: SX) -> SX:
         """Return the friction acceleration w + tau w' + alpha2 v, w' = K(v) v - c |v| w."""
         return w + self.tau * (self.gain(v) * v - self.c * ca.fabs(v) * w) + self.alpha2 * v
+
+
+def parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare what the filters know of the sensor."""
+    step, most = "step of the position sensor; 0: none", "largest error that counts in full, in standard deviations"
+    return (
+        Parameter(f"{prefix}.resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, step, "dixit2008 section IV-A"),
+        Parameter(f"{prefix}.gate", "g", "1", 3.0, 0.1, 1e6, most, "huber1981"),
+    )
+
+
+def rounding(resolution: SX) -> SX:
+    """Return the variance of a position that is rounded to a grid, evenly distributed; of 1e-6 rad if there is none.
+
+    Source: widrow2008 chapter 1.
+    """
+    return SX(ca.fmax(resolution, 1e-6) ** 2 / 12)
 
 
 def advance(x: SX, servo: Servo, u: SX, h: SX) -> SX:

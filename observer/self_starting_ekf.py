@@ -24,7 +24,16 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, kalman, rls
 from bristle.observer.kalman import STATES
 from bristle.observer.method import (
-    Method, Sample, Update, Workshop, stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
+    Method,
+    Sample,
+    Update,
+    Workshop,
+    stack,
+    stack_symmetric,
+    symmetric_states,
+    unstack,
+    unstack_symmetric,
+    vector_states,
 )  # fmt: skip
 
 SX = ca.SX
@@ -32,6 +41,7 @@ NAMES = units("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau")
 GROWING = "ljung1983 chapter 5 (forgetting that fades)"
 ADAPTIVE = "mehra1970"
 CHANGE = "basseville1993 chapter 2"
+MEANS = kalman.ORDER - STATES
 V, W, ALPHA2, B, LEVELS, LN_C, TAU = 1, 2, 3, 4, (5, 6, 7), 8, 9  # places in the vector
 # The start: how much must be known, and how far it is trusted.
 DISTINCT = 0.02  # determinant of the correlations of -v, u and -sgn v
@@ -49,6 +59,7 @@ FULL_MISFIT = 0.3  # beyond that by this much, the model counts as wrong altoget
 FAINTEST = 1e-3  # share of the process noise that stays when the model is right
 SETTLED = 5.0  # s after a start, from which the innovations are judged
 FIRST_MEMORY = 1.0  # s
+SAME = 100.0  # samples with the same count, at most, that share one rounding error
 FADING = 4  # power of time with which the early noise goes
 DOUBT = 12.0  # s after a start, up to which the model does not count as right whatever the innovations say
 WATCHFUL = 10.0  # s after a start, from which a change is looked for
@@ -115,7 +126,8 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
     noise = p.level**2 * (ca.fmax(ca.fmax(misfit, FAINTEST), doubt) + p.early_noise * early)
     rates = [SX(0)] * kalman.ORDER
     rates[V], rates[W] = p.noise_v * noise, p.noise_w * noise
-    quantum = ca.fmax(p.resolution, 1e-6) ** 2 / 12
+    same = ca.fmin(ca.fmax(p.resolution / ca.fmax(ca.fabs(z[V]) * h, 1e-12), 1), SAME)
+    quantum = kalman.rounding(p.resolution) * same
     variance = quantum * (1 + p.misfit_noise * misfit + p.early_noise / 10 * early)
     error = s.y1 + p.resolution / 2 - z[0]
     z, covariance, size = kalman.correct(z, kalman.noisy(covariance, rates, h), error, variance, p.gate)
@@ -160,6 +172,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         **unstack("joint", choose(z, start.joint, follow)),
         **unstack_symmetric("cov", choose(covariance, ca.diag(start.spread**2), cov)),
         **unstack("prior", choose(stack(p, "prior", kalman.ORDER), start.spread, stack(p, "prior", kalman.ORDER))),
+        **unstack("mean", choose(_averaged(p, z, h), start.joint[STATES:], stack(p, "mean", MEANS))),
         "level": choose(p.level, start.level, p.level),
         "runs": ca.if_else(runs, ca.logic_not(changed), go),
         "starts": p.starts + go,
@@ -168,17 +181,27 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         "innovation": ca.if_else(runs, mean, 1),
         "innovation_late": ca.if_else(runs, late, 1),
     }
-    servo = _servo(joint[STATES:])
-    return Update(new, _estimates(p, servo), _signals(p, servo), {"joint0": s.y1}, {name: p.starts > 0 for name in NAMES})
+    return Update(new, _estimates(p), _signals(p), {"joint0": s.y1}, {name: p.starts > 0 for name in NAMES})
 
 
-def _estimates(p: Namespace, servo: kalman.Servo) -> dict[str, SX]:
+def _averaged(p: Namespace, z: SX, h: SX) -> SX:
+    """Return the entries averaged: what passes within some hundredths of a second is noise of rounding.
+
+    Source: polyak1992 (averages of estimates).
+    """
+    mean = stack(p, "mean", MEANS)
+    return mean + h / ca.fmax(p.averaging, h) * (z[STATES:] - mean)
+
+
+def _estimates(p: Namespace) -> dict[str, SX]:
     """Return the parameters; Coulomb friction is the level at high speed, where no basis function is left."""
+    servo = _servo(stack(p, "mean", MEANS))
     sigma = {f"sigma{i}": each for i, each in enumerate(servo.sigma)}
-    return {"alpha2": servo.alpha2, "b": servo.b, "Fc": p[f"joint{LEVELS[0]}"], **sigma, "c": servo.c, "tau": servo.tau}
+    return {"alpha2": servo.alpha2, "b": servo.b, "Fc": servo.sigma[0] / servo.c, **sigma, "c": servo.c, "tau": servo.tau}
 
 
-def _signals(p: Namespace, servo: kalman.Servo) -> dict[str, SX]:
+def _signals(p: Namespace) -> dict[str, SX]:
+    servo = _servo(stack(p, "joint", kalman.ORDER)[STATES:])
     return {"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": servo.friction(p.joint1, p.joint2)}
 
 
@@ -189,7 +212,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         return Parameter(f"{prefix}.{name}", symbol, unit, default, low, high, text, source)
 
     return (
-        own("resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, "step of the position sensor; 0: none", "dixit2008 section IV-A"),
+        *kalman.parameters(prefix),
         *rls.filter_parameters(prefix, cutoff=60.0, hold_off=0.05, vc=0.0),
         own("start_time", "T0", "s", 0.7, 1e-3, 1e3, "motion that a start is taken from, at least", "ljung1999 section 11.2"),
         own("c_start", "c", "1/rad", 100.0, 1e-6, 1e9, "start of the estimate of c", "dixit2008 eq. (17)"),
@@ -203,7 +226,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("misfit_noise", "r_m", "1", 100.0, 0.0, 1e9, "how much less a position counts where the model is wrong", ADAPTIVE),
         own("memory", "k", "1", 2.0, 0.0, 10.0, "weight of the past: (time since the start / now)^k", GROWING),
         own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
-        own("gate", "g", "1", 3.0, 0.1, 1e6, "largest error that counts in full, in standard deviations", "huber1981"),
+        own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
         own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE),
         own("change_ratio", "rho", "1", 80.0, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
     )
@@ -221,6 +244,7 @@ METHOD = Method(
         *vector_states("joint", "1", "theta, v, w, alpha2, b, G0, G1, G2, ln c, tau", kalman.ORDER),
         *symmetric_states("cov", "1", "their covariance", kalman.ORDER),
         *vector_states("prior", "1", "their standard deviations at the start", kalman.ORDER),
+        *vector_states("mean", "1", "averages of alpha2, b, G0, G1, G2, ln c, tau", MEANS),
         State("level", "rad/s2", "Coulomb friction at the start"),
         State("runs", "1", "1 while the filter runs, 0 while a start is looked for"),
         State("starts", "1", "how often it has started"),

@@ -20,7 +20,7 @@ from bristle.model.native import Native
 from bristle.observer import methods, observer_program
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402 - after the backend is set
+import matplotlib.pyplot as plt
 
 Json = dict[str, Any]
 SENSORS = ("clean", "encoder")
@@ -86,7 +86,8 @@ def ratios(results: Results, sensor: str, plant: str, method: str, check: str, o
 
 def identification(results: Results, sensor: str) -> str:
     """Return the table of times and errors on the plants whose parameters are known."""
-    head = ["method", *(f"{plant}: {what}" for plant in WITH_TRUTH for what in ("to 5 %, s", f"error at {EARLY} s, %", f"at {LATE} s, %"))]
+    what = ("to 5 %, s", f"error at {EARLY} s, %", f"at {LATE} s, %")
+    head = ["method", *(f"{plant}: {each}" for plant in WITH_TRUTH for each in what)]
     rows = []
     for method in methods():
         cells = [method]
@@ -238,11 +239,14 @@ def figure_times(results: Results, out: Path) -> None:
 
 def figure_floor(results: Results, out: Path) -> None:
     """Draw the validation error over the floor on the plants that no observer's model contains."""
-    names = [m for m in methods() if any(math.isfinite(x) for p in FIT for x in ratios(results, "encoder", p, m, EARLY, "modified"))]
+    def of(plant: str, method: str) -> list[float]:
+        return [x for x in ratios(results, "encoder", plant, method, EARLY, "modified") if math.isfinite(x)]
+
+    names = [method for method in methods() if any(of(plant, method) for plant in FIT)]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
     for row, method in enumerate(reversed(names)):
         for plant, shift in zip(FIT, (0.2, 0.0, -0.2), strict=True):
-            values = [x for x in ratios(results, "encoder", plant, method, EARLY, "modified") if math.isfinite(x)]
+            values = of(plant, method)
             axes.plot(values, np.full(len(values), row + shift), ".", ms=5, alpha=0.6, color=f"C{FIT.index(plant)}")
     axes.axvline(1.0, color="0.4", lw=0.8)
     axes.set(xscale="log", xlabel=f"validation error over the 7-parameter floor after {EARLY} s, encoder", yticks=range(len(names)))
@@ -278,7 +282,8 @@ def publish(found: Mapping[Any, Path], docs: Path) -> str:
     for sensor in SENSORS:
         parts += [f"## Parameters, {sensor}", identification(results, sensor)]
         parts += [f"## Validation error over the 7-parameter floor, {sensor}", validation(results, sensor, "modified", FIT)]
-        parts += [f"## Validation error over viscous + Coulomb, {sensor}", validation(results, sensor, "coulomb", (*WITH_TRUTH, *FIT))]
+        every = validation(results, sensor, "coulomb", (*WITH_TRUTH, *FIT))
+        parts += [f"## Validation error over viscous + Coulomb, {sensor}", every]
         parts += [f"## Mean error at {LATE} s in %, {sensor}", bias(results, sensor)]
     parts += ["## Normal load doubled at 60 s: seconds until within 5 % again, encoder", changes(results)]
     parts += [f"## Starts up to ten times off: records not within 5 % at {EARLY} s, encoder", starts(results)]

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,12 @@ from bristle.observer import observer_program  # noqa: E402 - after the threads 
 
 STUDIED = ("S", "R", "L0", "L1", "GMS")
 ORDERS = (1, 2)
-STARTS = 5  # starts on each record, so that 24 records make more than a hundred
+STARTS = 5  # on each record, so that 24 records make more than a hundred
+WORK: dict[str, Callable[[str, int, int], Any]] = {
+    "record": jobs.whole,
+    "change": jobs.after_a_change,
+    "starts": partial(jobs.from_spread_starts, runs=STARTS),
+}
 
 
 @dataclass(frozen=True)
@@ -51,9 +57,7 @@ class Job:
 
     def run(self, out: Path) -> None:
         """Compute and write."""
-        what: dict[str, Callable[..., Any]] = {"record": jobs.whole, "change": jobs.after_a_change, "starts": jobs.from_spread_starts}
-        extra = (STARTS,) if self.kind == "starts" else ()
-        jobs.write(out / self.name, what[self.kind](self.plant, self.order, self.seed, *extra))
+        jobs.write(out / self.name, WORK[self.kind](self.plant, self.order, self.seed))
 
 
 def plan(seeds: int) -> Iterator[Job]:
