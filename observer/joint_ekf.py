@@ -67,7 +67,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         next=rls.fit(p, s)
         | unstack("joint", ca.if_else(go, z, waiting))
         | unstack_symmetric("cov", ca.if_else(go, covariance, cov)),
-        estimates={name: p[f"joint{STATES + i}"] for i, name in enumerate(ENTRIES)} | {"Fc": servo.sigma[0] / servo.c},
+        estimates={name: p[f"joint{STATES + i}"] for i, name in enumerate(ENTRIES)} | {"Fc": servo.sigma[0] / ca.fmax(servo.c, LOWEST["c"])},
         signals={"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": servo.friction(p.joint1, p.joint2)},
         first={"joint0": s.y1},
         valid={name: SX(go) for name in (*ENTRIES, "Fc")},
@@ -87,7 +87,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         ),
         Parameter(f"{prefix}.noise_v", "q_v", "rad2/s3", 0.1, 0.0, 1e9, "process noise of v", noise),
         Parameter(f"{prefix}.noise_w", "q_w", "rad2/s5", 10.0, 0.0, 1e9, "process noise of w", noise),
-        Parameter(f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, "process noise of a parameter over its spread", noise),
+        Parameter(f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, "process noise of a parameter over its sd", noise),
     )
 
 

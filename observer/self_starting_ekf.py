@@ -51,13 +51,16 @@ LEVEL = (0.1, 2.0)  # bounds of Fc over the rms drive acceleration b u
 LEAST_VISCOUS = 0.05  # of alpha2: acceleration at the rms speed over that of the drive
 SPREAD = {"v": 0.5, "b": 0.2, "alpha2": 0.5}  # sd over rms speed, over b, over Fc at the rms speed; the levels' is Fc
 SMALLEST_LEVEL = 0.01  # of Fc at the start
-C_REACH = 1e3  # c stays within this factor of its start
+LARGEST_LEVEL = (4.0, 10.0)  # of that too: Coulomb friction, and the weights of the basis functions either way
+PASSED = 10.0  # samples in which the presliding distance of the start is passed at the rms speed, at least
+C_REACH, EARLY_C_REACH = 1e3, 10.0  # c stays within this factor of its start; from a c far too large nothing leads back
 LONGEST_TAU = 1.0  # s
 # Noise that follows from the innovations.
 CONSISTENT = 1.05  # mean of squared innovation over its variance, up to which the model counts as right
 FULL_MISFIT = 0.3  # beyond that by this much, the model counts as wrong altogether
 FAINTEST = 1e-3  # share of the process noise that stays when the model is right
 SETTLED = 5.0  # s after a start, from which the innovations are judged
+LOST = (8.0, 1000.0)  # s after a start, and mean innovation, with which it went nowhere
 FIRST_MEMORY = 1.0  # s
 SAME = 100.0  # samples with the same count, at most, that share one rounding error
 FADING = 4  # power of time with which the early noise goes
@@ -96,8 +99,9 @@ def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX) -> _Start:
     drive = ca.fabs(b) * ca.sqrt(seen[1, 1] * s.period / count)
     level = ca.fmax(ca.fmin(ca.fmax(friction, LEVEL[0] * drive), LEVEL[1] * drive), 1e-12)
     alpha2 = ca.fmax(alpha2, LEAST_VISCOUS * drive / ca.fmax(speed, 1e-9))
+    c = ca.fmin(p.c_start, 1 / (PASSED * ca.fmax(speed, 1e-9) * s.period))  # beyond it nothing would lead back
     viscous = SPREAD["alpha2"] * level / ca.fmax(speed, 1e-9)
-    joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ca.log(p.c_start), p.tau_start)
+    joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ca.log(c), p.tau_start)
     spread = ca.vertcat(
         p.resolution, SPREAD["v"] * speed, level, viscous, SPREAD["b"] * ca.fabs(b), level, level, level, p.c_spread, p.tau_spread
     )
@@ -131,14 +135,16 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
     variance = quantum * (1 + p.misfit_noise * misfit + p.early_noise / 10 * early)
     error = s.y1 + p.resolution / 2 - z[0]
     z, covariance, size = kalman.correct(z, kalman.noisy(covariance, rates, h), error, variance, p.gate)
-    middle = ca.log(p.c_start)
-    low = {ALPHA2: SX(0), LEVELS[0]: SMALLEST_LEVEL * p.level, LN_C: middle - math.log(C_REACH), TAU: SX(0)}
-    high = {LN_C: middle + math.log(C_REACH), TAU: SX(LONGEST_TAU)}
+    reach = ca.if_else(p.age < SETTLED, EARLY_C_REACH, C_REACH)
+    most = {LEVELS[0]: LARGEST_LEVEL[0] * p.level, LEVELS[1]: LARGEST_LEVEL[1] * p.level, LEVELS[2]: LARGEST_LEVEL[1] * p.level}
+    low = {ALPHA2: SX(0), LEVELS[0]: SMALLEST_LEVEL * p.level, LN_C: p.ln_c - ca.log(reach), TAU: SX(0)}
+    low |= {place: -each for place, each in most.items() if place not in low}
+    high = {**most, LN_C: p.ln_c + ca.log(reach), TAU: SX(LONGEST_TAU)}
     return kalman.bounded(z, low, high), covariance, size
 
 
 def _judge(p: Namespace, h: SX, size: SX) -> tuple[SX, SX, SX]:
-    """Return (mean innovation since it settled, its mean of late, whether the servo has changed).
+    """Return (mean innovation since it settled, its mean of late, whether to start anew: the servo has changed, or it is lost).
 
     Source: basseville1993 chapter 2 (a mean of late against the mean before).
     """
@@ -147,7 +153,8 @@ def _judge(p: Namespace, h: SX, size: SX) -> tuple[SX, SX, SX]:
     late = p.innovation_late + h / p.change_window * (size - p.innovation_late)
     mean = p.innovation + ca.if_else(judged, h / (p.age - SETTLED + FIRST_MEMORY), 0) * (size - p.innovation)
     changed = ca.logic_and(p.age > WATCHFUL, late > p.change_ratio * ca.fmax(mean, 1))
-    return mean, late, changed
+    lost = ca.logic_and(ca.logic_and(p.age > LOST[0], p.age < WATCHFUL), mean > LOST[1])
+    return mean, late, ca.logic_or(changed, lost)
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:
@@ -174,6 +181,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         **unstack("prior", choose(stack(p, "prior", kalman.ORDER), start.spread, stack(p, "prior", kalman.ORDER))),
         **unstack("mean", choose(_averaged(p, z, h), start.joint[STATES:], stack(p, "mean", MEANS))),
         "level": choose(p.level, start.level, p.level),
+        "ln_c": choose(p.ln_c, start.joint[LN_C], p.ln_c),
         "runs": ca.if_else(runs, ca.logic_not(changed), go),
         "starts": p.starts + go,
         "moving": ca.if_else(runs, 0, p.moving + ca.if_else(r.counts, h, 0)),
@@ -228,7 +236,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
         own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
         own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE),
-        own("change_ratio", "rho", "1", 80.0, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
+        own("change_ratio", "rho", "1", 100.0, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
     )
 
 
@@ -246,6 +254,7 @@ METHOD = Method(
         *vector_states("prior", "1", "their standard deviations at the start", kalman.ORDER),
         *vector_states("mean", "1", "averages of alpha2, b, G0, G1, G2, ln c, tau", MEANS),
         State("level", "rad/s2", "Coulomb friction at the start"),
+        State("ln_c", "1", "ln c at the start"),
         State("runs", "1", "1 while the filter runs, 0 while a start is looked for"),
         State("starts", "1", "how often it has started"),
         State("moving", "s", "motion seen since a start is looked for"),
