@@ -63,11 +63,12 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     waiting = ca.vertcat(s.y1 + p.resolution / 2, p.last_v, 0, step1["alpha2"], step1["b"], *fixed)
     cov = stack_symmetric(p, "cov", kalman.ORDER)
     servo = _servo(stack(p, "joint", kalman.ORDER)[STATES:])
+    friction = servo.sigma[0] / ca.fmax(servo.c, LOWEST["c"])
     return Update(
         next=rls.fit(p, s)
         | unstack("joint", ca.if_else(go, z, waiting))
         | unstack_symmetric("cov", ca.if_else(go, covariance, cov)),
-        estimates={name: p[f"joint{STATES + i}"] for i, name in enumerate(ENTRIES)} | {"Fc": servo.sigma[0] / ca.fmax(servo.c, LOWEST["c"])},
+        estimates={**{name: p[f"joint{STATES + i}"] for i, name in enumerate(ENTRIES)}, "Fc": friction},
         signals={"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": servo.friction(p.joint1, p.joint2)},
         first={"joint0": s.y1},
         valid={name: SX(go) for name in (*ENTRIES, "Fc")},

@@ -64,7 +64,7 @@ def advance(x: SX, servo: Servo, u: SX, h: SX) -> SX:
     Source: dixit2008 eq. (15) and (17), tau after remark 5; hochbruck2010 section 2 (exponential step).
     """
     theta, v, w = ca.vertsplit(x)
-    mean = v + h / 2 * (servo.b * u - w - servo.alpha2 * v)
+    mean = v + h / 2 * (servo.b * u - servo.friction(v, w))
     travel = ca.fmax(servo.c * ca.fabs(mean) * h, 1e-9)
     kept = ca.exp(-travel)
     w_new = w * kept + h * servo.gain(mean) * mean * (1 - kept) / travel

@@ -60,6 +60,7 @@ CONSISTENT = 1.05  # mean of squared innovation over its variance, up to which t
 FULL_MISFIT = 0.3  # beyond that by this much, the model counts as wrong altogether
 FAINTEST = 1e-3  # share of the process noise that stays when the model is right
 SETTLED = 5.0  # s after a start, from which the innovations are judged
+BEFORE = 2.0  # s: the innovations of late are compared with their mean as it was one to two of these ago
 LOST = (8.0, 1000.0)  # s after a start, and mean innovation, with which it went nowhere
 FIRST_MEMORY = 1.0  # s
 SAME = 100.0  # samples with the same count, at most, that share one rounding error
@@ -99,9 +100,10 @@ def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX) -> _Start:
     drive = ca.fabs(b) * ca.sqrt(seen[1, 1] * s.period / count)
     level = ca.fmax(ca.fmin(ca.fmax(friction, LEVEL[0] * drive), LEVEL[1] * drive), 1e-12)
     alpha2 = ca.fmax(alpha2, LEAST_VISCOUS * drive / ca.fmax(speed, 1e-9))
-    c = ca.fmin(p.c_start, 1 / (PASSED * ca.fmax(speed, 1e-9) * s.period))  # beyond it nothing would lead back
+    ln_c = ca.log(ca.fmin(p.c_start, 1 / (PASSED * ca.fmax(speed, 1e-9) * s.period)))  # beyond it nothing would lead back
+    ln_c = ca.if_else(p.resumes > 0, p[f"mean{LN_C - STATES}"], ln_c)
     viscous = SPREAD["alpha2"] * level / ca.fmax(speed, 1e-9)
-    joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ca.log(c), p.tau_start)
+    joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ln_c, p.tau_start)
     spread = ca.vertcat(
         p.resolution, SPREAD["v"] * speed, level, viscous, SPREAD["b"] * ca.fabs(b), level, level, level, p.c_spread, p.tau_spread
     )
@@ -143,18 +145,26 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
     return kalman.bounded(z, low, high), covariance, size
 
 
-def _judge(p: Namespace, h: SX, size: SX) -> tuple[SX, SX, SX]:
-    """Return (mean innovation since it settled, its mean of late, whether to start anew: the servo has changed, or it is lost).
+def _judge(p: Namespace, h: SX, size: SX) -> tuple[dict[str, SX], SX, SX]:
+    """Return (the averages of the innovations, whether the servo has changed, whether the filter is lost).
 
+    The innovations of late are compared with their mean as it was some seconds ago, which a change has not reached yet.
     Source: basseville1993 chapter 2 (a mean of late against the mean before).
     """
-    judged = p.age > SETTLED
     size = ca.fmin(size, 1e9)
     late = p.innovation_late + h / p.change_window * (size - p.innovation_late)
-    mean = p.innovation + ca.if_else(judged, h / (p.age - SETTLED + FIRST_MEMORY), 0) * (size - p.innovation)
-    changed = ca.logic_and(p.age > WATCHFUL, late > p.change_ratio * ca.fmax(mean, 1))
+    share = ca.if_else(p.age > SETTLED, h / (p.age - SETTLED + FIRST_MEMORY), 0)
+    mean = p.innovation + share * (size - p.innovation)
+    kept = ca.floor(p.age / BEFORE) != ca.floor((p.age + h) / BEFORE)
+    averages = {
+        "innovation": mean,
+        "innovation_late": late,
+        "innovation_kept": ca.if_else(kept, mean, p.innovation_kept),
+        "innovation_before": ca.if_else(kept, p.innovation_kept, p.innovation_before),
+    }
+    changed = ca.logic_and(p.age > WATCHFUL, late > p.change_ratio * ca.fmax(p.innovation_before, 1))
     lost = ca.logic_and(ca.logic_and(p.age > LOST[0], p.age < WATCHFUL), mean > LOST[1])
-    return mean, late, ca.logic_or(changed, lost)
+    return averages, changed, lost
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:
@@ -165,7 +175,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     seen = information.read(p, 4) + ca.if_else(r.counts, 1, 0) * (row @ row.T)
     start = _start(p, s, r, seen)
     z, covariance, size = _filter(p, s)
-    mean, late, changed = _judge(p, h, size)
+    averages, changed, lost = _judge(p, h, size)
     go = ca.logic_and(ca.logic_not(runs), start.ready)
 
     def choose(running: SX, starting: SX, waiting: SX) -> SX:
@@ -182,12 +192,12 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         **unstack("mean", choose(_averaged(p, z, h), start.joint[STATES:], stack(p, "mean", MEANS))),
         "level": choose(p.level, start.level, p.level),
         "ln_c": choose(p.ln_c, start.joint[LN_C], p.ln_c),
-        "runs": ca.if_else(runs, ca.logic_not(changed), go),
+        "runs": ca.if_else(runs, ca.logic_not(ca.logic_or(changed, lost)), go),
+        "resumes": ca.if_else(runs, changed, p.resumes),
         "starts": p.starts + go,
         "moving": ca.if_else(runs, 0, p.moving + ca.if_else(r.counts, h, 0)),
         "age": ca.if_else(runs, p.age + h, 0),
-        "innovation": ca.if_else(runs, mean, 1),
-        "innovation_late": ca.if_else(runs, late, 1),
+        **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
     }
     return Update(new, _estimates(p), _signals(p), {"joint0": s.y1}, {name: p.starts > 0 for name in NAMES})
 
@@ -221,7 +231,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
 
     return (
         *kalman.parameters(prefix),
-        *rls.filter_parameters(prefix, cutoff=60.0, hold_off=0.05, vc=0.0),
+        *rls.filter_parameters(prefix, cutoff=60.0, hold_off=0.05, vc=math.radians(20.0)),
         own("start_time", "T0", "s", 0.7, 1e-3, 1e3, "motion that a start is taken from, at least", "ljung1999 section 11.2"),
         own("c_start", "c", "1/rad", 100.0, 1e-6, 1e9, "start of the estimate of c", "dixit2008 eq. (17)"),
         own("c_spread", "sd(ln c)", "1", 1.5, 1e-3, 10.0, "how far that start may be off, logarithmically", kalman.SOURCE),
@@ -236,7 +246,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
         own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
         own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE),
-        own("change_ratio", "rho", "1", 100.0, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
+        own("change_ratio", "rho", "1", 1e4, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
     )
 
 
@@ -256,11 +266,14 @@ METHOD = Method(
         State("level", "rad/s2", "Coulomb friction at the start"),
         State("ln_c", "1", "ln c at the start"),
         State("runs", "1", "1 while the filter runs, 0 while a start is looked for"),
+        State("resumes", "1", "1 if what comes next starts with the c there was"),
         State("starts", "1", "how often it has started"),
         State("moving", "s", "motion seen since a start is looked for"),
         State("age", "s", "time since the start"),
         State("innovation", "1", "mean squared innovation over its variance", initial=1.0),
         State("innovation_late", "1", "the same, of late", initial=1.0),
+        State("innovation_kept", "1", "the first, as it was less than two seconds ago", initial=1.0),
+        State("innovation_before", "1", "the first, as it was two seconds before that", initial=1.0),
     ),
     _equations,
 )

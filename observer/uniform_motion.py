@@ -17,7 +17,8 @@ EQUATION = "dixit2008 section IV-B"
 def _equations(shop: Workshop, s: Sample) -> Update:
     """Judge a step when the input leaves it: long enough, moving, and the spread of the velocity small against its mean.
 
-    Mean and mean square of the velocity are first-order averages, so that they belong to the end of the step.
+    Mean and mean square of the velocity are first-order averages, so that they belong to the end of the step; they end with the
+    velocity at which the input was left.
     Source: dixit2008 section IV-B.
     """
     p = shop.p
@@ -32,8 +33,8 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         next={
             "held_input": s.u,
             "held": ca.if_else(left, 0, p.held + s.period),
-            "mean": ca.if_else(left, s.y1, p.mean + weight * (s.y1 - p.mean)),
-            "square": ca.if_else(left, s.y1**2, p.square + weight * (s.y1**2 - p.square)),
+            "mean": ca.if_else(left, s.y0, p.mean + weight * (s.y0 - p.mean)),
+            "square": ca.if_else(left, s.y0**2, p.square + weight * (s.y0**2 - p.square)),
             "found": ca.if_else(ca.logic_and(judged, lower), speed, p.found),
         },
         estimates={"vc": p.found},
