@@ -17,6 +17,7 @@ import casadi as ca
 from bristle.model.errors import BristleError
 from bristle.model.proximal import Unknown, proximal
 from bristle.model.rosenbrock import rodas
+from bristle.model.switching import at_the_point
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
 from bristle.model.units import per_second
 from bristle.model.variables import Parameter, Variable
@@ -223,7 +224,8 @@ class Program:
                 step = ca.vertcat(*rodas(system, h))
             add("step", [(_solved(step, unknowns), range(n + 1))], to_output=True)
             if self.sensitivities:
-                slopes = self._derivative(system, step[:n], unknowns)[0]  # the step itself beside: both share most of their work
+                # the step itself beside: both share most of their work
+                slopes = self._derivative(system, at_the_point(system, step[:n], h), unknowns)[0]
                 both = ca.vertcat(slopes, _solved(step[:n], unknowns))
                 add("step_jacobian", [(both, range(both.numel()))], to_output=True)
             if self.sensitivities and self.observed:

@@ -12,7 +12,7 @@ from bristle.fmus.interface import Interface
 from bristle.model.python import casadi_tables
 from bristle.model.runtime import Core
 
-SMOOTH = ("lugre", "modified", "modified_polynomial", "viscous")
+SMOOTH = ("dahl", "elastoplastic", "lugre", "lugre_velocity_damping", "modified", "modified_polynomial", "viscous")
 
 
 def rates(raw, handle, n):

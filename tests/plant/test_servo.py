@@ -12,7 +12,10 @@ from bristle.plant.servo import NORMALISED, servo_program
 
 H = 1e-3
 GRID = 2 * math.pi / 40000
-SHIPPED = ("coulomb", "lugre", "modified", "modified_polynomial", "viscous")
+SHIPPED = (
+    "coulomb", "dahl", "elastoplastic", "gms", "leuven", "lugre", "lugre_velocity_damping", "modified", "modified_polynomial",
+    "stribeck_static", "viscous",
+)  # fmt: skip
 
 
 def test_every_file_in_friction_is_a_law():
@@ -22,7 +25,7 @@ def test_every_file_in_friction_is_a_law():
 
 
 def test_an_unknown_law_is_refused_in_one_line():
-    with pytest.raises(BristleError, match="unknown friction law 'dahlia'; known: coulomb, lugre") as caught:
+    with pytest.raises(BristleError, match="unknown friction law 'dahlia'; known: coulomb, dahl, elastoplastic") as caught:
         servo_program("dahlia")
     assert "\n" not in str(caught.value)
 
@@ -52,7 +55,9 @@ def test_load_torque_acts_like_drive_torque_but_is_not_cut(name):
     assert loaded[-1, 0] > 1.5 * driven[-1, 0]
 
 
-@pytest.mark.parametrize(("name", "dry"), [("coulomb", 0.004), ("lugre", 0.004), ("modified", 0.004), ("viscous", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "dry"), [(name, 0.0 if name == "viscous" else 0.004) for name in SHIPPED if name != "modified_polynomial"]
+)
 def test_load_scale_scales_dry_friction_and_nothing_else(name, dry):
     program, n = servo_program(name), 6000
     speeds = {}
@@ -137,14 +142,22 @@ OWN = {
     "modified_polynomial": {"modified_polynomial.sigma0": 500.0, "modified_polynomial.c": 125.0},
     "lugre": {"lugre.Fc": 0.006, "lugre.Fs": 0.01},
     "coulomb": {"coulomb.Fc": 0.006},
+    "dahl": {"dahl.Fc": 0.006},
+    "elastoplastic": {"elastoplastic.Fc": 0.006},
+    "gms": {"gms.Fc": 0.006},
+    "leuven": {"leuven.Fc": 0.006},
+    "lugre_velocity_damping": {"lugre_velocity_damping.Fc": 0.006},
+    "stribeck_static": {"stribeck_static.Fc": 0.006},
     "viscous": {},
 }
 EXPECTED = {
     "modified": {"Fc": 4.0, "sigma0": 500.0, "sigma1": 700.0, "sigma2": 200.0, "c": 125.0, "tau": 0.01},
     "modified_polynomial": {"sigma0": 500.0, "c": 125.0, "tau": 0.0},
     "lugre": {"Fc": 3.0},
-    "coulomb": {"Fc": 3.0},
     "viscous": {},
+} | {
+    name: {"Fc": 3.0}
+    for name in ("coulomb", "dahl", "elastoplastic", "gms", "leuven", "lugre_velocity_damping", "stribeck_static")
 }
 
 
@@ -164,7 +177,7 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
             assert math.isnan(value)
 
 
-@pytest.mark.parametrize("name", ["modified", "lugre", "coulomb"])
+@pytest.mark.parametrize("name", [name for name in SHIPPED if "Fc" in EXPECTED[name]])
 def test_the_true_coulomb_friction_is_what_a_fast_shaft_feels(name):
     program = servo_program(name)
     native = Native(program, {"J": J, "b": 0.01, "a2": 0.003, **OWN[name]})
