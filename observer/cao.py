@@ -1,0 +1,278 @@
+"""The original LuGre law identified directly, nonlinear parameters and all: hierarchical min-max estimation from velocity.
+
+With sigma1 = 0, (7)-(10) over the inertia are w' = sigma0 (v - |v| w / N), N = Fc + Fd exp(-q v^2), where q = 1/v0^2,
+Fc = sigma0 a0 and Fd = sigma0 a1. In the direction of motion, with the speed |v|, that is
+    |v| w = N (|v| - w' / sigma0),
+and each factor and term is e to the power of something affine in theta = (ln Fc, ln Fd, q, -ln sigma0): convex, up to a sign.
+The upper level keeps the region in which theta lies; the lower level moves the estimate in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from bristle.model.normalised import units
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import zhang
+from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack
+
+SX = ca.SX
+EQUATION = "cao2003; dixit2008 eq. (7)-(10)"
+NAMES = units("sigma0", "a0", "a1", "v0", "Fc")
+REGION = {  # of theta at the start, given by its physical meaning: intervals that hold most servos
+    "Fc": ("rad/s2", 0.1, 100.0, "Coulomb friction over inertia"),
+    "Fd": ("rad/s2", 0.1, 100.0, "static friction above it, over inertia"),
+    "v0": ("rad/s", 0.05, 1.75, "Stribeck velocity"),
+    "sigma0": ("1/s2", 10.0, 1e5, "stiffness over inertia"),
+}
+PLACES = range(len(REGION))
+TINY = 1e-300
+FAR = 1e9  # stands for infinity in a logarithm
+DOUBTFUL = 1e-3  # share of contradictions that discredits the model
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A quantity known to lie between two bounds."""
+
+    lo: SX
+    hi: SX
+
+    @property
+    def middle(self) -> SX:
+        """Return the value whose largest error is smallest."""
+        return (self.lo + self.hi) / 2
+
+    def __add__(self, other: Interval) -> Interval:
+        return Interval(self.lo + other.lo, self.hi + other.hi)
+
+    def __sub__(self, other: Interval) -> Interval:
+        return Interval(self.lo - other.hi, self.hi - other.lo)
+
+    def times(self, factor: SX) -> Interval:
+        """Return the interval times a number of either sign."""
+        a, b = self.lo * factor, self.hi * factor
+        return Interval(ca.fmin(a, b), ca.fmax(a, b))
+
+    def over(self, other: Interval) -> Interval:
+        """Return the quotient by an interval that does not contain zero."""
+        ends = [a / b for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
+        return Interval(ca.fmin(ca.fmin(*ends[:2]), ca.fmin(*ends[2:])), ca.fmax(ca.fmax(*ends[:2]), ca.fmax(*ends[2:])))
+
+    def log(self) -> Interval:
+        """Return the logarithm of what is positive in the interval."""
+
+        def log(x: SX) -> SX:
+            return ca.if_else(x > TINY, ca.log(ca.fmax(x, TINY)), -FAR)
+
+        return Interval(log(self.lo), log(self.hi))
+
+    def meet(self, other: Interval) -> Interval:
+        """Return the intersection, which is empty where lo > hi."""
+        return Interval(ca.fmax(self.lo, other.lo), ca.fmin(self.hi, other.hi))
+
+
+@dataclass(frozen=True)
+class Equation:
+    """speed w = N (speed - w'/sigma0), N = Fc + Fd exp(-q speed^2), in the direction of motion; errors of w and w'."""
+
+    speed: SX
+    w: SX
+    dw: SX
+    w_error: SX
+    dw_error: SX
+
+
+def equation(p: Namespace, s: Sample) -> tuple[Equation, SX]:
+    """Return what two samples say about the friction, and whether the velocity changes little enough over them to say it.
+
+    The mean of w over a sample follows from (15) exactly, as u is held and v linear; two of them give w and w' between, and w'
+    belongs to v weighted by the triangle (1, 4, 1)/6. Errors are a share of each term that w and w' are made of.
+    Source: dixit2008 eq. (7)-(9) with sigma1 = 0.
+    """
+    h = s.period
+    earlier = p.b * p.u_before - p.alpha2 * (p.v_before + s.y0) / 2 - (s.y0 - p.v_before) / h
+    later = p.b * s.u - p.alpha2 * (s.y0 + s.y1) / 2 - (s.y1 - s.y0) / h
+    v, dv = (p.v_before + 4 * s.y0 + s.y1) / 6, (s.y1 - p.v_before) / 2
+    direction, speed = ca.sign(v), ca.fabs(v)
+    jerk = ca.fabs(s.y1 - 2 * s.y0 + p.v_before)
+    w_size = ca.fabs(p.b) * ca.fabs(s.u + p.u_before) / 2 + p.alpha2 * speed + ca.fabs(dv) / h
+    dw_size = (ca.fabs(p.b) * ca.fabs(s.u - p.u_before) + p.alpha2 * ca.fabs(dv) + jerk / h) / h
+    mean = direction * (earlier + later) / 2
+    known = Equation(speed, mean, direction * (later - earlier) / h, p.tolerance * w_size, p.tolerance * dw_size)
+    return known, ca.logic_and(p.samples >= 2, ca.fabs(dv) < p.steadiness * speed)
+
+
+def contract(e: Equation, region: list[Interval], tolerance: SX) -> list[Interval]:
+    """Return the part of the region that the equation leaves possible; an empty interval says that it leaves none.
+
+    Each factor and each term of N (speed - w'/sigma0) = speed w is solved for in turn, and the others are intervals.
+    Source: cao2003 (the region that the upper level keeps).
+    """
+    fc, fd, q, compliance = region
+    x = e.speed**2
+    level, fall = exp(fc), exp(Interval(fd.lo - q.hi * x, fd.hi - q.lo * x))
+    soft = exp(compliance)
+    n = level + fall
+    slack = e.speed * e.w_error + n.hi * (tolerance * e.speed + soft.hi * e.dw_error)
+    left = Interval(e.speed * e.w - slack, e.speed * e.w + slack)
+    rest = Interval(e.speed, e.speed) - soft.times(e.dw)
+    quotient = left.over(rest)
+    definite = rest.lo * rest.hi > 0
+    n = n.meet(Interval(ca.if_else(definite, quotient.lo, n.lo), ca.if_else(definite, quotient.hi, n.hi)))
+    falls = (n - level).log()
+    bent = Interval(e.speed, e.speed) - left.over(n)
+    moved = bent.over(Interval(e.dw, e.dw)).log()
+    moves = ca.fabs(e.dw) > 0
+    found = [
+        (n - fall).log(),
+        Interval(falls.lo + q.lo * x, falls.hi + q.hi * x),
+        Interval((fd.lo - falls.hi) / x, (fd.hi - falls.lo) / x),
+        Interval(ca.if_else(moves, moved.lo, compliance.lo), ca.if_else(moves, moved.hi, compliance.hi)),
+    ]
+    empty = n.lo > n.hi
+    met = [old.meet(new) for old, new in zip(region, found, strict=True)]
+    return [Interval(ca.if_else(empty, 1, each.lo), ca.if_else(empty, 0, each.hi)) for each in met]
+
+
+def exp(z: Interval) -> Interval:
+    """Return e to the power of an interval."""
+    return Interval(ca.exp(z.lo), ca.exp(z.hi))
+
+
+def lower(e: Equation, region: list[Interval], theta: SX, tolerance: SX) -> SX:
+    """Return the estimate after one min-max step.
+
+    The equation is f(theta) = speed w with four terms c exp(z), z affine in theta = (ln Fc, ln Fd, q, ln 1/sigma0). From below a
+    convex term is bounded by its tangent, from above by its chord over the region: of the two bounds of f that are affine in
+    theta, the one on the side of the error holds for the true theta. What it leaves of the error, less what the chords gape, is
+    a half-space in which the true theta lies; the step goes onto its edge, which brings the estimate no farther from it.
+    Source: skantze2000, cao2003 (the lower level).
+    """
+    x = e.speed**2
+    slopes = (SX([1, 0, 0, 0]), ca.vertcat(0, 1, -x, 0), SX([1, 0, 0, 1]), ca.vertcat(0, 1, -x, 1))
+    factors = (e.speed, e.speed, -e.dw, -e.dw)
+    fc, fd, q, compliance = region
+    fall = Interval(fd.lo - q.hi * x, fd.hi - q.lo * x)
+    exponents = (fc, fall, fc + compliance, fall + compliance)
+    values = [ca.exp(ca.dot(slope, theta)) for slope in slopes]
+    error = e.speed * e.w - sum(c * value for c, value in zip(factors, values, strict=True))
+    size = values[0] + values[1]
+    slack = e.speed * e.w_error + size * (tolerance * e.speed + ca.exp(theta[3]) * e.dw_error)
+    side = ca.sign(error)
+    direction, gape = SX(4, 1), SX(0)
+    for slope, c, z, value in zip(slopes, factors, exponents, values, strict=True):
+        width = ca.fmax(z.hi - z.lo, 1e-9)
+        chord = (ca.exp(z.hi) - ca.exp(z.lo)) / width
+        gap = ca.fmax(ca.exp(z.lo) + chord * (ca.dot(slope, theta) - z.lo) - value, 0)
+        above = c * side > 0
+        direction += slope * c * ca.if_else(above, chord, value)
+        gape += ca.if_else(above, ca.fabs(c) * gap, 0)
+    excess = ca.fmax(ca.fabs(error) - slack - gape, 0)
+    gain = ca.vertcat(*((each.hi - each.lo) ** 2 + 1e-12 for each in region))
+    return theta + gain * direction * (side * excess / (ca.dot(direction, gain * direction) + TINY))
+
+
+def widest(p: Namespace) -> list[Interval]:
+    """Return the region at the start."""
+
+    def between(name: str) -> Interval:
+        return Interval(ca.log(p[f"{name}_least"]), ca.log(p[f"{name}_most"]))
+
+    soft = between("sigma0")
+    return [between("Fc"), between("Fd"), Interval(1 / p.v0_most**2, 1 / p.v0_least**2), Interval(-soft.hi, -soft.lo)]
+
+
+def upper(p: Namespace, e: Equation, steady: SX) -> tuple[SX, SX, SX]:
+    """Return (lower bounds, upper bounds, whether the equation contradicts the region).
+
+    What contradicts the region opens it by a share towards what it was at the start.
+    Source: cao2003 (the upper level); the region is narrowed at every sample, not when the lower level has settled.
+    """
+    before = [Interval(p[f"least{i}"], p[f"most{i}"]) for i in PLACES]
+    left = contract(e, before, p.tolerance)
+    whole = widest(p)
+
+    def column(end: str, regions: list[Interval]) -> SX:
+        return ca.vertcat(*(getattr(each, end) for each in regions))
+
+    lo, hi = column("lo", before), column("hi", before)
+    new_lo, new_hi = column("lo", left), column("hi", left)
+    counts = ca.logic_and(steady, p.narrowing > 0)
+    contradicts = ca.logic_and(counts, ca.mmax(new_lo - new_hi) > 0)
+    opened_lo, opened_hi = lo + p.opening * (column("lo", whole) - lo), hi + p.opening * (column("hi", whole) - hi)
+    return (
+        ca.if_else(contradicts, opened_lo, ca.if_else(counts, new_lo, lo)),
+        ca.if_else(contradicts, opened_hi, ca.if_else(counts, new_hi, hi)),
+        contradicts,
+    )
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    """Let the upper level narrow the region; where it did, the lower level starts from the middle, else it takes a step.
+
+    Source: cao2003.
+    """
+    p = shop.p
+    known, steady = equation(p, s)
+    lo, hi, contradicts = upper(p, known, steady)
+    least, most, theta = stack(p, "least", 4), stack(p, "most", 4), stack(p, "theta", 4)
+    changed = ca.mmax(ca.fabs(lo - least) + ca.fabs(hi - most)) > 0
+    region = [Interval(lo[i], hi[i]) for i in PLACES]
+    moved = ca.fmin(ca.fmax(lower(known, region, theta, p.tolerance), lo), hi)
+    theta_new = ca.if_else(changed, (lo + hi) / 2, ca.if_else(steady, moved, theta))
+    doubt = p.doubt + s.period / p.memory * (contradicts - p.doubt)
+    return Update(
+        next={
+            **unstack("theta", theta_new), **unstack("least", lo), **unstack("most", hi),
+            "u_before": s.u, "v_before": s.y0, "doubt": doubt,
+        },
+        estimates={
+            "sigma0": ca.exp(-p.theta3),
+            "a0": ca.exp(p.theta0 + p.theta3),
+            "a1": ca.exp(p.theta1 + p.theta3),
+            "v0": 1 / ca.sqrt(p.theta2),
+            "Fc": ca.exp(p.theta0),
+        },
+        valid=valid(p),
+    )  # fmt: skip
+
+
+def valid(p: Namespace) -> dict[str, SX]:
+    """Return which estimates the region bounds closely, as long as next to nothing contradicts it."""
+    fc, fd, q, soft = (p[f"most{i}"] - p[f"least{i}"] for i in PLACES)
+    half = {"sigma0": soft / 2, "a0": (fc + soft) / 2, "a1": (fd + soft) / 2, "v0": q / (4 * p.theta2), "Fc": fc / 2}
+    return {name: ca.logic_and(p.doubt < DOUBTFUL, each < p.precision) for name, each in half.items()}
+
+
+METHOD = Method(
+    "cao",
+    "hierarchical min-max estimation of the original LuGre law; alpha2 and b known",
+    "cao2003, skantze2000",
+    "y_v",
+    (
+        *zhang.known_parameters("cao"),
+        *(
+            Parameter(f"cao.{name}_{end}", name, unit, value, 1e-6, 1e9, f"{end} that is possible of {what}", EQUATION)
+            for name, (unit, least, most, what) in REGION.items()
+            for end, value in (("least", least), ("most", most))
+        ),
+        Parameter("cao.tolerance", "epsilon", "1", 2e-3, 1e-9, 1.0, "error of each measured term over its size", EQUATION),
+        Parameter("cao.steadiness", "s", "1", 0.05, 1e-6, 1.0, "change over speed up to which a pair of samples counts", EQUATION),
+        Parameter("cao.narrowing", "n", "1", 1.0, 0.0, 1.0, "1: two levels; 0: the lower level alone, in a fixed region", EQUATION),
+        Parameter("cao.opening", "o", "1", 0.01, 0.0, 1.0, "share by which a contradiction opens the region", EQUATION),
+        Parameter("cao.memory", "T", "s", 5.0, 1e-3, 1e6, "time over which contradictions are counted", EQUATION),
+        Parameter("cao.precision", "r", "1", 0.1, 0.0, 1e3, "relative error that a valid estimate may have", EQUATION),
+    ),
+    (
+        *(State(f"theta{i}", "1", f"estimate ({i})", initial=lambda p, i=i: widest(p)[i].middle) for i in PLACES),
+        *(State(f"least{i}", "1", f"lower bound of the region ({i})", initial=lambda p, i=i: widest(p)[i].lo) for i in PLACES),
+        *(State(f"most{i}", "1", f"upper bound of the region ({i})", initial=lambda p, i=i: widest(p)[i].hi) for i in PLACES),
+        State("u_before", "V", "input before the last one"),
+        State("v_before", "rad/s", "velocity before the last one"),
+        State("doubt", "1", "share of samples that contradict the region"),
+    ),
+    _equations,
+)
