@@ -142,13 +142,14 @@ def exp(z: Interval) -> Interval:
     return Interval(ca.exp(z.lo), ca.exp(z.hi))
 
 
-def lower(e: Equation, region: list[Interval], theta: SX, tolerance: SX) -> SX:
+def lower(e: Equation, region: list[Interval], theta: SX) -> SX:
     """Return the estimate after one min-max step.
 
-    The equation is f(theta) = speed w with four terms c exp(z), z affine in theta = (ln Fc, ln Fd, q, ln 1/sigma0). From below a
-    convex term is bounded by its tangent, from above by its chord over the region: of the two bounds of f that are affine in
-    theta, the one on the side of the error holds for the true theta. What it leaves of the error, less what the chords gape, is
-    a half-space in which the true theta lies; the step goes onto its edge, which brings the estimate no farther from it.
+    The equation is f(theta) = speed w with four terms c exp(z), z affine in theta. A convex term is bounded from below by its
+    tangent and from above by its chord over the region, a concave one the other way round: of the two bounds of f that are
+    affine in theta, the one on the side of the error holds for the true theta. What is left of the error after the gaps of the
+    chords says in which half-space the true theta lies; the step goes onto its edge, which brings the estimate no farther from
+    it. Errors of measurement find no dead zone here: the region, which allows for them, bounds what they can do.
     Source: skantze2000, cao2003 (the lower level).
     """
     x = e.speed**2
@@ -159,8 +160,6 @@ def lower(e: Equation, region: list[Interval], theta: SX, tolerance: SX) -> SX:
     exponents = (fc, fall, fc + compliance, fall + compliance)
     values = [ca.exp(ca.dot(slope, theta)) for slope in slopes]
     error = e.speed * e.w - sum(c * value for c, value in zip(factors, values, strict=True))
-    size = values[0] + values[1]
-    slack = e.speed * e.w_error + size * (tolerance * e.speed + ca.exp(theta[3]) * e.dw_error)
     side = ca.sign(error)
     direction, gape = SX(4, 1), SX(0)
     for slope, c, z, value in zip(slopes, factors, exponents, values, strict=True):
@@ -170,7 +169,7 @@ def lower(e: Equation, region: list[Interval], theta: SX, tolerance: SX) -> SX:
         above = c * side > 0
         direction += slope * c * ca.if_else(above, chord, value)
         gape += ca.if_else(above, ca.fabs(c) * gap, 0)
-    excess = ca.fmax(ca.fabs(error) - slack - gape, 0)
+    excess = ca.fmax(ca.fabs(error) - gape, 0)
     gain = ca.vertcat(*((each.hi - each.lo) ** 2 + 1e-12 for each in region))
     return theta + gain * direction * (side * excess / (ca.dot(direction, gain * direction) + TINY))
 
@@ -211,18 +210,16 @@ def upper(p: Namespace, e: Equation, steady: SX) -> tuple[SX, SX, SX]:
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:
-    """Let the upper level narrow the region; where it did, the lower level starts from the middle, else it takes a step.
+    """Let the upper level narrow the region, and the lower level take a step in it.
 
     Source: cao2003.
     """
     p = shop.p
     known, steady = equation(p, s)
     lo, hi, contradicts = upper(p, known, steady)
-    least, most, theta = stack(p, "least", 4), stack(p, "most", 4), stack(p, "theta", 4)
-    changed = ca.mmax(ca.fabs(lo - least) + ca.fabs(hi - most)) > 0
-    region = [Interval(lo[i], hi[i]) for i in PLACES]
-    moved = ca.fmin(ca.fmax(lower(known, region, theta, p.tolerance), lo), hi)
-    theta_new = ca.if_else(changed, (lo + hi) / 2, ca.if_else(steady, moved, theta))
+    theta, region = stack(p, "theta", 4), [Interval(lo[i], hi[i]) for i in PLACES]
+    moved = ca.if_else(steady, lower(known, region, theta), theta)
+    theta_new = ca.fmin(ca.fmax(moved, lo), hi)
     doubt = p.doubt + s.period / p.memory * (contradicts - p.doubt)
     return Update(
         next={
