@@ -27,7 +27,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     theta = ca.vertcat(*(p[f"theta_{name}"] for name in ENTRIES))
     g0 = regressor(p.y_before, _limited(x[1]), p.u_before, du)
     g1 = regressor(s.y0, SX(0), s.u, du)
-    rate = theta[0] + ca.fabs(s.y0) * theta[7]
+    rate = ca.fmax(theta[0] + ca.fabs(s.y0) * theta[7], 0)  # whose step never divides by zero
     x = zhang.ahead(f, x, ca.vertcat(0, g0 @ theta) + f.k * p.y_before, ca.vertcat(0, g1 @ theta) + f.k * s.y0, rate)
     upsilon = f.phi @ upsilon + f.m0[:, 1] @ g0 + f.m1[:, 1] @ regressor(s.y0, _limited(x[1]), s.u, du)
     theta_new, r = adapt(p, upsilon[0, :].T, s.y0 - x[0], s.period)
@@ -61,7 +61,7 @@ METHOD = Method(
             for i, k in enumerate(besancon.K0, start=1)
         ),
         Parameter("approach_one_smooth.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.EQUATION),
-        *gain_parameters("approach_one_smooth"),
+        *gain_parameters("approach_one_smooth", 1.0),
     ),
     (
         *vector_states("x", "1", "state estimate", 2),

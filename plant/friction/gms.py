@@ -26,7 +26,7 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
     return Friction(
         force=sum((p[f"F{i}"] for i in PLACES), ca.SX(0)),
         rates={f"F{i}": each.rate for i, each in found.items()},
-        true={"Fc": sum(p[f"alpha{i}"] for i in PLACES) * p.Fc / p.J},
+        true={"Fc": sum(p[f"alpha{i}"] for i in PLACES) * p.Fc / p.J, "v0": p.vs},
         switches={f"slip{i}": each.switch for i, each in found.items()},
     )
 
