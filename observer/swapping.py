@@ -48,8 +48,8 @@ def advance(shop: Workshop, s: Sample, start: SX, end: SX) -> tuple[SX, SX]:
     return x, ca.horzcat(-once[0], once[1], -v, -phi1, -phi2, vu, -vv, -once[5] / 2, twice)
 
 
-def estimate(r: SX) -> tuple[SX, SX, SX]:
-    """Return (six estimates, the diagonal of their inverse information, sum of squares that is left unexplained).
+def estimate(r: SX) -> tuple[SX, SX, SX, SX]:
+    """Return (six estimates, diagonal of their inverse information, sum of squares left unexplained, least share of an entry).
 
     The eight entries follow linearly, from no start. c is the last of them; c b and c alpha2 are then not thrown away: one
     Gauss-Newton step from the six takes the entries g = [.., c b, c alpha2, c] to the smallest sum of squares, in which each
@@ -67,14 +67,15 @@ def estimate(r: SX) -> tuple[SX, SX, SX]:
     weighted = r[:ENTRIES, :ENTRIES] @ slope
     six = information.Factors(slope.T @ weighted)
     inconsistent = weighted[5, :].T * (theta[5] - c * b) + weighted[6, :].T * (theta[6] - c * alpha2)
-    return ca.vertcat(theta[:5], c) + six.solve(inconsistent), six.inverse_diagonal(), eight.d[-1]
+    least = ca.mmin(ca.vertcat(*eight.shares[:ENTRIES]))
+    return ca.vertcat(theta[:5], c) + six.solve(inconsistent), six.inverse_diagonal(), eight.d[-1], least
 
 
 def step(shop: Workshop, s: Sample, start: SX, end: SX) -> dict[str, SX]:
     """Return the next states for signals that go from `start` to `end`.
 
     Errors of the rows of a filter with corner a are alike over 2/a, so that not every sample is a new observation: the
-    variance of an estimate is that of as many fewer.
+    variance of an estimate is that of as many fewer. Where no noise tells that the entries are not excited, their shares do.
     """
     p = shop.p
     x, row = advance(shop, s, start, end)
@@ -83,11 +84,12 @@ def step(shop: Workshop, s: Sample, start: SX, end: SX) -> dict[str, SX]:
     before = information.read(p, ROW)
     r = ca.if_else(counts, memory * before + row.T @ row, before)
     rows = ca.if_else(counts, memory * p.rows + 1, p.rows)
-    six, inverse, left = estimate(r)
+    six, inverse, left, least = estimate(r)
     free = rows * p.cutoff * s.period / 2 - ENTRIES  # observations beyond the unknowns
     variance = left * inverse / ca.fmax(free, 1e-9)
     kept = ca.fmin(ca.fmax(six, ca.vertcat(*LOWEST)), 1e9)
-    sharp = ca.logic_and(free > 0, variance < (p.precision * kept) ** 2)
+    excited = ca.logic_and(free > 0, least > p.excitation)
+    sharp = ca.logic_and(excited, variance < (p.precision * kept) ** 2)
     return {
         **unstack("filtered", x),
         **information.write(r),
@@ -112,6 +114,10 @@ def parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
     return (
         Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 0.1, 1e3, "corner of the filter L, a double pole", EQUATION),
         Parameter(f"{prefix}.memory", "T", "s", 100.0, 0.1, 1e6, "time over which data is forgotten", "ljung1999 section 11.2"),
+        Parameter(
+            f"{prefix}.excitation", "e", "1", 1e-9, 0.0, 1.0,
+            "share of each entry that the others must leave unexplained", "ljung1999 section 13.2"
+        ),
         Parameter(
             f"{prefix}.precision", "r", "1", 0.1, 0.0, 1e3,
             "standard error over estimate up to which an estimate is valid", "ljung1999 section 9.6"
