@@ -238,10 +238,10 @@ def _equations(shop: Workshop, s: Sample) -> Update:
 
 
 def valid(p: Namespace) -> dict[str, SX]:
-    """Return which estimates the region bounds closely, as long as next to nothing contradicts it."""
-    fc, fd, q, soft = (p[f"most{i}"] - p[f"least{i}"] for i in PLACES)
-    half = {"sigma0": soft / 2, "a0": (fc + soft) / 2, "a1": (fd + soft) / 2, "v0": q / (4 * p.theta2), "Fc": fc / 2}
-    return {name: ca.logic_and(p.doubt < DOUBTFUL, each < p.precision) for name, each in half.items()}
+    """Return which estimates have all of the region near them, as long as next to nothing contradicts it."""
+    fc, fd, q, soft = (ca.fmax(p[f"most{i}"] - p[f"theta{i}"], p[f"theta{i}"] - p[f"least{i}"]) for i in PLACES)
+    largest = {"sigma0": soft, "a0": fc + soft, "a1": fd + soft, "v0": q / (2 * p.theta2), "Fc": fc}  # relative errors
+    return {name: ca.logic_and(p.doubt < DOUBTFUL, each < p.precision) for name, each in largest.items()}
 
 
 METHOD = Method(
@@ -261,7 +261,7 @@ METHOD = Method(
         Parameter("cao.narrowing", "n", "1", 1.0, 0.0, 1.0, "1: two levels; 0: the lower level alone, in a fixed region", EQUATION),
         Parameter("cao.opening", "o", "1", 0.01, 0.0, 1.0, "share by which a contradiction opens the region", EQUATION),
         Parameter("cao.memory", "T", "s", 5.0, 1e-3, 1e6, "time over which contradictions are counted", EQUATION),
-        Parameter("cao.precision", "r", "1", 0.1, 0.0, 1e3, "relative error that a valid estimate may have", EQUATION),
+        Parameter("cao.precision", "r", "1", 0.15, 0.0, 1e3, "relative error that a valid estimate may have", EQUATION),
     ),
     (
         *(State(f"theta{i}", "1", f"estimate ({i})", initial=lambda p, i=i: widest(p)[i].middle) for i in PLACES),
