@@ -52,7 +52,7 @@ class Factors:
         for j in range(n):
             scaled = [self.l[j][k] * self.d[k] for k in range(j)]
             own = matrix[j, j] * (1 + FAINT) + NOTHING
-            self.d[j] = ca.fmax(own - sum(self.l[j][k] * scaled[k] for k in range(j)), own * FAINT)
+            self.d[j] = own - sum(self.l[j][k] * scaled[k] for k in range(j))
             self.shares[j] = ca.if_else(matrix[j, j] > NOTHING, self.d[j] / own, 0)
             for i in range(j + 1, n):
                 self.l[i][j] = (matrix[i, j] - sum(self.l[i][k] * scaled[k] for k in range(j))) / self.d[j]

@@ -12,7 +12,9 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
 from bristle.model.native import Native
+from bristle.model.variables import Namespace
 from bristle.observer import cao, information, levant, observer_program, swapping
+from bristle.observer.method import Sample
 from bristle.plant.friction import law
 from bristle.plant.servo import servo, servo_program
 
@@ -286,6 +288,25 @@ def test_the_nonlinear_parameters_of_lugre_are_found(plant, order, truth):
     assert np.all(np.abs(error[-1]) < 3.0)
     assert np.all(valid[-5000:])
     assert np.max(np.abs(error[valid])) < 100 * np.expm1(0.15)  # what `precision` promises of a valid estimate
+
+
+def test_two_samples_say_what_the_friction_is():
+    """With the law's true parameters the equation holds to a thousandth wherever the velocity is steady."""
+    names = ("b", "alpha2", "tolerance", "steadiness", "samples", "u_before", "v_before", "u", "y0", "y1")
+    symbol = {name: ca.SX.sym(name) for name in names}
+    sample = Sample(symbol["u"], symbol["y0"], symbol["y1"], ca.SX(STEP))
+    e, steady = cao.equation(Namespace(symbol), sample)
+    data = closed_loop("L0", 1)
+    u, v = data["u"][:-1], data["y_v"]
+    n = len(u) - 1
+    given = [np.full(n, x) for x in (6.5, 2.0, 1.0, 0.05, 10.0)] + [u[:-1], v[:-2], u[1:], v[1:-1], v[2:]]
+    equation = ca.Function("equation", list(symbol.values()), [e.speed, e.w, e.dw, steady]).map(n)
+    speed, w, dw, counts = (np.array(x).ravel() for x in equation(*(x[None, :] for x in given)))
+    level = 4.0 + 3.2 * np.exp(-((speed / L0["v0"]) ** 2))
+    sides = speed * w, level * speed, level * dw / 800.0
+    error = np.abs(sides[0] - sides[1] + sides[2]) / sum(np.abs(side) for side in sides)
+    assert np.mean(counts) > 0.5
+    assert np.max(error[counts > 0]) < 2e-3
 
 
 def test_region_holds_the_truth_and_only_narrows():
