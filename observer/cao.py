@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import zhang
+from bristle.observer.interval import TINY, Interval
 from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack
 
 SX = ca.SX
 EQUATION = "cao2003; dixit2008 eq. (7)-(10)"
-NAMES = units("sigma0", "a0", "a1", "v0", "Fc")
 REGION = {  # of theta at the start, given by its physical meaning: intervals that hold most servos
     "Fc": ("rad/s2", 0.1, 100.0, "Coulomb friction over inertia"),
     "Fd": ("rad/s2", 0.1, 100.0, "static friction above it, over inertia"),
@@ -28,59 +27,18 @@ REGION = {  # of theta at the start, given by its physical meaning: intervals th
     "sigma0": ("1/s2", 10.0, 1e5, "stiffness over inertia"),
 }
 PLACES = range(len(REGION))
-TINY = 1e-300
-FAR = 1e9  # stands for infinity in a logarithm
+SLOWEST = 1e-9  # rad/s; the speed is divided by
 DOUBTFUL = 1e-3  # share of contradictions that discredits the model
 
 
 @dataclass(frozen=True)
-class Interval:
-    """A quantity known to lie between two bounds."""
-
-    lo: SX
-    hi: SX
-
-    @property
-    def middle(self) -> SX:
-        """Return the value whose largest error is smallest."""
-        return (self.lo + self.hi) / 2
-
-    def __add__(self, other: Interval) -> Interval:
-        return Interval(self.lo + other.lo, self.hi + other.hi)
-
-    def __sub__(self, other: Interval) -> Interval:
-        return Interval(self.lo - other.hi, self.hi - other.lo)
-
-    def times(self, factor: SX) -> Interval:
-        """Return the interval times a number of either sign."""
-        a, b = self.lo * factor, self.hi * factor
-        return Interval(ca.fmin(a, b), ca.fmax(a, b))
-
-    def over(self, other: Interval) -> Interval:
-        """Return the quotient by an interval that does not contain zero."""
-        ends = [a / b for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
-        return Interval(ca.fmin(ca.fmin(*ends[:2]), ca.fmin(*ends[2:])), ca.fmax(ca.fmax(*ends[:2]), ca.fmax(*ends[2:])))
-
-    def log(self) -> Interval:
-        """Return the logarithm of what is positive in the interval."""
-
-        def log(x: SX) -> SX:
-            return ca.if_else(x > TINY, ca.log(ca.fmax(x, TINY)), -FAR)
-
-        return Interval(log(self.lo), log(self.hi))
-
-    def meet(self, other: Interval) -> Interval:
-        """Return the intersection, which is empty where lo > hi."""
-        return Interval(ca.fmax(self.lo, other.lo), ca.fmin(self.hi, other.hi))
-
-
-@dataclass(frozen=True)
 class Equation:
-    """speed w = N (speed - w'/sigma0), N = Fc + Fd exp(-q speed^2), in the direction of motion; errors of w and w'."""
+    """What is known of speed w = N (speed - w'/sigma0) in the direction of motion, and how wrong each of it may be."""
 
     speed: SX
     w: SX
     dw: SX
+    speed_error: SX
     w_error: SX
     dw_error: SX
 
@@ -88,8 +46,8 @@ class Equation:
 def equation(p: Namespace, s: Sample) -> tuple[Equation, SX]:
     """Return what two samples say about the friction, and whether the velocity changes little enough over them to say it.
 
-    The mean of w over a sample follows from (15) exactly, as u is held and v linear; two of them give w and w' between, and w'
-    belongs to v weighted by the triangle (1, 4, 1)/6. Errors are a share of each term that w and w' are made of.
+    The mean of w over a sample follows from (15), u being held and v next to linear; two of them give w and w' between, and that
+    w' belongs to v weighted by the triangle (1, 4, 1)/6. Errors are a share of each term that speed, w and w' are made of.
     Source: dixit2008 eq. (7)-(9) with sigma1 = 0.
     """
     h = s.period
@@ -100,12 +58,12 @@ def equation(p: Namespace, s: Sample) -> tuple[Equation, SX]:
     jerk = ca.fabs(s.y1 - 2 * s.y0 + p.v_before)
     w_size = ca.fabs(p.b) * ca.fabs(s.u + p.u_before) / 2 + p.alpha2 * speed + ca.fabs(dv) / h
     dw_size = (ca.fabs(p.b) * ca.fabs(s.u - p.u_before) + p.alpha2 * ca.fabs(dv) + jerk / h) / h
-    mean = direction * (earlier + later) / 2
-    known = Equation(speed, mean, direction * (later - earlier) / h, p.tolerance * w_size, p.tolerance * dw_size)
-    return known, ca.logic_and(p.samples >= 2, ca.fabs(dv) < p.steadiness * speed)
+    w, dw = direction * (earlier + later) / 2, direction * (later - earlier) / h
+    known = Equation(speed, w, dw, *(p.tolerance * size for size in (speed, w_size, dw_size)))
+    return known, ca.logic_and(p.samples >= 2, ca.fabs(dv) + SLOWEST < p.steadiness * speed)
 
 
-def contract(e: Equation, region: list[Interval], tolerance: SX) -> list[Interval]:
+def contract(e: Equation, region: list[Interval]) -> list[Interval]:
     """Return the part of the region that the equation leaves possible; an empty interval says that it leaves none.
 
     Each factor and each term of N (speed - w'/sigma0) = speed w is solved for in turn, and the others are intervals.
@@ -113,10 +71,9 @@ def contract(e: Equation, region: list[Interval], tolerance: SX) -> list[Interva
     """
     fc, fd, q, compliance = region
     x = e.speed**2
-    level, fall = exp(fc), exp(Interval(fd.lo - q.hi * x, fd.hi - q.lo * x))
-    soft = exp(compliance)
+    level, fall, soft = fc.exp(), (fd - q.times(x)).exp(), compliance.exp()
     n = level + fall
-    slack = e.speed * e.w_error + n.hi * (tolerance * e.speed + soft.hi * e.dw_error)
+    slack = e.speed * e.w_error + n.hi * (e.speed_error + soft.hi * e.dw_error)
     left = Interval(e.speed * e.w - slack, e.speed * e.w + slack)
     rest = Interval(e.speed, e.speed) - soft.times(e.dw)
     quotient = left.over(rest)
@@ -128,18 +85,13 @@ def contract(e: Equation, region: list[Interval], tolerance: SX) -> list[Interva
     moves = ca.fabs(e.dw) > 0
     found = [
         (n - fall).log(),
-        Interval(falls.lo + q.lo * x, falls.hi + q.hi * x),
-        Interval((fd.lo - falls.hi) / x, (fd.hi - falls.lo) / x),
+        falls + q.times(x),
+        (fd - falls).times(1 / x),
         Interval(ca.if_else(moves, moved.lo, compliance.lo), ca.if_else(moves, moved.hi, compliance.hi)),
     ]
     empty = n.lo > n.hi
     met = [old.meet(new) for old, new in zip(region, found, strict=True)]
     return [Interval(ca.if_else(empty, 1, each.lo), ca.if_else(empty, 0, each.hi)) for each in met]
-
-
-def exp(z: Interval) -> Interval:
-    """Return e to the power of an interval."""
-    return Interval(ca.exp(z.lo), ca.exp(z.hi))
 
 
 def lower(e: Equation, region: list[Interval], theta: SX) -> SX:
@@ -156,7 +108,7 @@ def lower(e: Equation, region: list[Interval], theta: SX) -> SX:
     slopes = (SX([1, 0, 0, 0]), ca.vertcat(0, 1, -x, 0), SX([1, 0, 0, 1]), ca.vertcat(0, 1, -x, 1))
     factors = (e.speed, e.speed, -e.dw, -e.dw)
     fc, fd, q, compliance = region
-    fall = Interval(fd.lo - q.hi * x, fd.hi - q.lo * x)
+    fall = fd - q.times(x)
     exponents = (fc, fall, fc + compliance, fall + compliance)
     values = [ca.exp(ca.dot(slope, theta)) for slope in slopes]
     error = e.speed * e.w - sum(c * value for c, value in zip(factors, values, strict=True))
@@ -191,7 +143,7 @@ def upper(p: Namespace, e: Equation, steady: SX) -> tuple[SX, SX, SX]:
     Source: cao2003 (the upper level); the region is narrowed at every sample, not when the lower level has settled.
     """
     before = [Interval(p[f"least{i}"], p[f"most{i}"]) for i in PLACES]
-    left = contract(e, before, p.tolerance)
+    left = contract(e, before)
     whole = widest(p)
 
     def column(end: str, regions: list[Interval]) -> SX:
@@ -220,7 +172,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     theta, region = stack(p, "theta", 4), [Interval(lo[i], hi[i]) for i in PLACES]
     moved = ca.if_else(steady, lower(known, region, theta), theta)
     theta_new = ca.fmin(ca.fmax(moved, lo), hi)
-    doubt = p.doubt + s.period / p.memory * (contradicts - p.doubt)
+    doubt = p.doubt + s.period / ca.fmax(p.memory, s.period) * (contradicts - p.doubt)
     return Update(
         next={
             **unstack("theta", theta_new), **unstack("least", lo), **unstack("most", hi),

@@ -14,6 +14,7 @@ from scipy.signal import cont2discrete, lfilter
 from bristle.model.native import Native
 from bristle.model.variables import Namespace
 from bristle.observer import cao, information, levant, observer_program, swapping
+from bristle.observer.interval import Interval
 from bristle.observer.method import Sample
 from bristle.plant.friction import law
 from bristle.plant.servo import servo, servo_program
@@ -359,9 +360,9 @@ def level_functions():
     """Return (upper, lower): both levels as functions of numbers."""
     speed, w, dw, tolerance = (ca.SX.sym(name) for name in ("speed", "w", "dw", "tolerance"))
     lo, hi, theta = (ca.SX.sym(name, 4) for name in ("lo", "hi", "theta"))
-    region = [cao.Interval(lo[i], hi[i]) for i in range(4)]
-    e = cao.Equation(speed, w, dw, tolerance * ca.fabs(w), tolerance * ca.fabs(dw))
-    left = cao.contract(e, region, tolerance)
+    region = [Interval(lo[i], hi[i]) for i in range(4)]
+    e = cao.Equation(speed, w, dw, *(tolerance * ca.fabs(x) for x in (speed, w, dw)))
+    left = cao.contract(e, region)
     bounds = [ca.vertcat(*(each.lo for each in left)), ca.vertcat(*(each.hi for each in left))]
     upper = ca.Function("upper", [speed, w, dw, tolerance, lo, hi], bounds)
     return upper, ca.Function("lower", [speed, w, dw, lo, hi, theta], [cao.lower(e, region, theta)])
