@@ -31,7 +31,7 @@ def adapt(p: Namespace, h: SX, error: SX, period: SX) -> tuple[SX, SX]:
     """Return (theta^ after the step, the information matrix) for the filtered regressor h and the output error.
 
     d theta = R^-1 h e with R the information of the last seconds, which forgets towards a prior, in place of a constant gain:
-    eight entries are excited so unequally that no constant one tried came closer than 70 % in 10 s.
+    eight entries are excited so unequally that no constant one tried came closer than 70 % in 10 s, even with u' exact.
     Source: zhang2002, with the gain of ljung1999 section 11.2.
     """
     before, prior = information.read(p, len(ENTRIES)), ca.diag(p.prior / SX(SIZES) ** 2)
