@@ -36,8 +36,8 @@ def signals(u: SX, v: SX) -> SX:
 def advance(shop: Workshop, s: Sample, start: SX, end: SX) -> tuple[SX, SX]:
     """Advance L = 1/(s + a)^2 on all signals over a sample, and return (its states, [regressor, s^2 L v]).
 
-    Every signal goes linearly from `start` to `end`. What that hold neglects of a smooth signal is (Ts^2/12) d^2/dt^2 of it,
-    the same operator on all terms, which therefore leaves the equation true; of a held u it neglects nothing.
+    Every signal goes linearly from `start` to `end`, v like what is made of it: errors of second order, which largely cancel as
+    long as all are held alike. A held u, which starts and ends a sample with the same value, is exact.
     """
     p = shop.p
     f = zhang.make_filter(shop, SX([2.0, 1.0]), p.cutoff, s.period)
