@@ -13,6 +13,7 @@ from bristle.observer.method import vector_states
 
 SX = ca.SX
 FAINT = 1e-12  # share of each diagonal entry that keeps the elimination from dividing by zero
+NOTHING = 1e-150  # an entry as small as this is none
 
 
 def _triangle(order: int) -> list[tuple[int, int]]:
@@ -41,16 +42,18 @@ class Factors:
     """L D L' of a symmetric matrix without pivoting, each diagonal entry raised by a faint share of itself.
 
     Where a column is a combination of others, an entry of D would be zero or, by rounding, negative; it stays positive.
+    `shares` tell of each variable how much of it the ones before it do not explain; 0 where there is nothing of it.
     """
 
     def __init__(self, matrix: SX) -> None:
         self.n = n = matrix.shape[0]
         self.l = [[SX(0)] * n for _ in range(n)]
-        self.d = [SX(0)] * n
+        self.d, self.shares = [SX(0)] * n, [SX(0)] * n
         for j in range(n):
             scaled = [self.l[j][k] * self.d[k] for k in range(j)]
-            own = matrix[j, j] * (1 + FAINT) + 1e-200
-            self.d[j] = ca.fmax(own - sum(self.l[j][k] * scaled[k] for k in range(j)), own * FAINT)
+            own = matrix[j, j] * (1 + FAINT) + NOTHING
+            self.d[j] = own - sum(self.l[j][k] * scaled[k] for k in range(j))
+            self.shares[j] = ca.if_else(matrix[j, j] > NOTHING, self.d[j] / own, 0)
             for i in range(j + 1, n):
                 self.l[i][j] = (matrix[i, j] - sum(self.l[i][k] * scaled[k] for k in range(j))) / self.d[j]
 

@@ -65,6 +65,13 @@ def make_filter(shop: Workshop, k0: SX, lam: SX, period: SX) -> Filter:
     )
 
 
+def ahead(f: Filter, x: SX, f0: SX, f1: SX, rate: SX) -> SX:
+    """Advance two states driven from f0 to f1 - [0, rate x2], whose x2 at the end is linear in itself and solved for."""
+    free = f.phi @ x + f.m0 @ f0 + f.m1 @ f1
+    x2 = free[1] / (1 + f.m1[1, 1] * rate)
+    return ca.vertcat(free[0] - f.m1[0, 1] * rate * x2, x2)
+
+
 def regressor(v: SX, x2: SX, unit: float = 1.0) -> SX:
     """psi of step 2 as a row, -[v, phi1 v, phi2 v, |v| x2], for v in `unit` rad/s.
 

@@ -56,8 +56,17 @@ def stribeck_curve(p: Namespace, v: SX) -> SX:
     return SX(p.Fc + (p.Fs - p.Fc) * ca.exp(-((v / p.vs) ** 2)))
 
 
+def stribeck_truth(p: Namespace, stiffness: SX | None = None) -> dict[str, SX]:
+    """Return the true normalised parameters of the curve; with a stiffness also its levels as deflections.
+
+    Source: dixit2008 eq. (10), where a0 and a1 are displacements.
+    """
+    levels = {} if stiffness is None else {"a0": p.Fc / stiffness, "a1": (p.Fs - p.Fc) / stiffness}
+    return {"Fc": p.Fc / p.J, "v0": p.vs, "vc": stribeck_end(p), **levels}
+
+
 def stribeck_end(p: Namespace) -> SX:
-    """Return the speed above which that level exceeds Fc by less than `NEGLIGIBLE` of it."""
+    """Return the speed above which the curve exceeds Fc by less than `NEGLIGIBLE` of it."""
     return SX(p.vs * ca.sqrt(ca.log(ca.fmax((p.Fs - p.Fc) / (NEGLIGIBLE * p.Fc), 1))))
 
 

@@ -14,7 +14,7 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
     Source: dahl1968, dahl1976 (slope of the force over the path, with exponent 1).
     """
     dz = v - p.sigma0 * ca.fabs(v) * p.z / p.Fc
-    return Friction(force=p.sigma0 * p.z, rates={"z": dz}, true={"Fc": p.Fc / p.J})
+    return Friction(force=p.sigma0 * p.z, rates={"z": dz}, true={"Fc": p.Fc / p.J, "a0": p.Fc / p.sigma0})
 
 
 LAW = FrictionLaw(

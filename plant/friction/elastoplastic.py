@@ -7,7 +7,7 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_end, stribeck_parameters
+from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters, stribeck_truth
 
 
 def plasticity(z: ca.SX, v: ca.SX, elastic: ca.SX, plastic: ca.SX) -> ca.SX:
@@ -30,7 +30,7 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
     s = stribeck_curve(p, v) / p.sigma0
     alpha = plasticity(p.z, v, p.share * ca.fmin(p.Fc, p.Fs) / p.sigma0, s)
     dz = v - alpha * ca.fabs(v) * p.z / s
-    return Friction(force=p.sigma0 * p.z + p.sigma1 * dz, rates={"z": dz}, true={"Fc": p.Fc / p.J, "vc": stribeck_end(p)})
+    return Friction(force=p.sigma0 * p.z + p.sigma1 * dz, rates={"z": dz}, true=stribeck_truth(p, p.sigma0))
 
 
 _SOURCE = "dupont2002"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_end
+from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_truth
 
 
 def bristles(p: Namespace, v: ca.SX, sigma1: ca.SX) -> Friction:
@@ -16,7 +16,7 @@ def bristles(p: Namespace, v: ca.SX, sigma1: ca.SX) -> Friction:
     """
     s = stribeck_curve(p, v) / p.sigma0
     dz = v - ca.fabs(v) * p.z / s
-    return Friction(force=p.sigma0 * p.z + sigma1 * dz, rates={"z": dz}, true={"Fc": p.Fc / p.J, "vc": stribeck_end(p)})
+    return Friction(force=p.sigma0 * p.z + sigma1 * dz, rates={"z": dz}, true=stribeck_truth(p, p.sigma0))
 
 
 def equations(p: Namespace, v: ca.SX) -> Friction:

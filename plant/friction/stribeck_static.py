@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace
-from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_end, stribeck_parameters
+from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters, stribeck_truth
 
 
 def equations(p: Namespace, v: ca.SX) -> Friction:
@@ -13,7 +13,7 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
 
     Source: armstrong1994 (static friction with Stribeck effect), with the set-valued sign in place of a separate stiction.
     """
-    return Friction(force=ca.SX(0), bound=stribeck_curve(p, v), true={"Fc": p.Fc / p.J, "vc": stribeck_end(p)})
+    return Friction(force=ca.SX(0), bound=stribeck_curve(p, v), true=stribeck_truth(p))
 
 
 LAW = FrictionLaw(

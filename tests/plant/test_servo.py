@@ -153,11 +153,15 @@ OWN = {
 EXPECTED = {
     "modified": {"Fc": 4.0, "sigma0": 500.0, "sigma1": 700.0, "sigma2": 200.0, "c": 125.0, "tau": 0.01},
     "modified_polynomial": {"sigma0": 500.0, "c": 125.0, "tau": 0.0},
-    "lugre": {"Fc": 3.0},
+    "lugre": {"Fc": 3.0, "a0": 0.0075, "a1": 0.005, "v0": math.radians(25)},
+    "lugre_velocity_damping": {"Fc": 3.0, "a0": 0.0075, "a1": 0.0015, "v0": math.radians(25)},
+    "elastoplastic": {"Fc": 3.0, "a0": 0.0075, "a1": 0.0015, "v0": math.radians(25)},
+    "dahl": {"Fc": 3.0, "a0": 0.0075},
+    "gms": {"Fc": 3.0, "v0": math.radians(25)},
+    "stribeck_static": {"Fc": 3.0, "v0": math.radians(25)},
+    "coulomb": {"Fc": 3.0},
+    "leuven": {"Fc": 3.0},
     "viscous": {},
-} | {
-    name: {"Fc": 3.0}
-    for name in ("coulomb", "dahl", "elastoplastic", "gms", "leuven", "lugre_velocity_damping", "stribeck_static")
 }
 
 
@@ -166,7 +170,7 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
     program = servo_program(name)
     values = Native(program, {"J": J, "b": 0.01, "a2": 0.003, **OWN[name]}).values
     expected = {"alpha2": 1.5, "b": 5.0, **EXPECTED[name]}
-    assert set(NORMALISED) == {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau"}
+    assert set(NORMALISED) == {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau", "a0", "a1", "v0"}
     for parameter in NORMALISED:
         value = values[program.index[f"true.{parameter}"]]
         valid = values[program.index[f"true.{parameter}_valid"]]
