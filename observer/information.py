@@ -9,33 +9,26 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, State
-from bristle.observer.method import vector_states
+from bristle.observer.method import stack_symmetric, symmetric_states, unstack_symmetric
 
 SX = ca.SX
 FAINT = 1e-12  # share of each diagonal entry that keeps the elimination from dividing by zero
 NOTHING = 1e-150  # an entry as small as this is none
 
 
-def _triangle(order: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(order) for j in range(i + 1)]
-
-
 def states(order: int) -> tuple[State, ...]:
     """Declare a symmetric matrix, of which the lower triangle is kept."""
-    return vector_states("information", "1", "information matrix", len(_triangle(order)))
+    return symmetric_states("information", "1", "information matrix", order)
 
 
 def read(p: Namespace, order: int) -> SX:
     """Return the matrix."""
-    matrix = SX(order, order)
-    for n, (i, j) in enumerate(_triangle(order)):
-        matrix[i, j] = matrix[j, i] = p[f"information{n}"]
-    return matrix
+    return stack_symmetric(p, "information", order)
 
 
 def write(matrix: SX) -> dict[str, SX]:
     """Return the next states."""
-    return {f"information{n}": matrix[i, j] for n, (i, j) in enumerate(_triangle(matrix.shape[0]))}
+    return unstack_symmetric("information", matrix)
 
 
 class Factors:

@@ -108,7 +108,7 @@ def neutral(law: str, b: float, alpha2: float, friction: float) -> list[dict[str
 def bound(parameters: Mapping[str, float], u: Array, resolution: float, seconds: Sequence[float]) -> dict[float, Array]:
     """Return the Cramer-Rao standard deviation of each free parameter of the modified model, relative, at some times.
 
-    Position with white noise of resolution^2/12, start (theta, v, w) unknown: its derivatives follow from a disturbed start.
+    Position with white noise of resolution^2/12; the start (theta, v) is unknown, w is at rest. Derivatives by v are differences.
     """
     names = FREE["modified"]
     values = {**FIXED, **parameters}

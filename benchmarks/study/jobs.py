@@ -18,6 +18,7 @@ from bristle.harness.metrics import error_percent, mse_percent
 from bristle.model.errors import SimulationError
 from bristle.model.native import Native
 from bristle.observer import methods, observer_program
+from bristle.observer.method import observer
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
@@ -39,6 +40,11 @@ PLACES = ("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
 RESOLUTION = 2 * math.pi / 40000
 
 
+def estimators() -> list[str]:
+    """Return the methods that estimate some of the parameters at all."""
+    return [name for name in methods() if estimated(name)]
+
+
 def told(method: str) -> dict[str, float]:
     """Return the parameters that a method takes as known, with the true values (all plants have the same servo)."""
     true = TRUE["S"]
@@ -46,10 +52,9 @@ def told(method: str) -> dict[str, float]:
 
 
 def estimated(method: str) -> list[str]:
-    """Return what a method estimates, in the order of the tables."""
-    out, _ = Native(observer_program(method)).run(STEP, {name: np.zeros(2) for name in ("u", "y_theta", "y_v")}, _hats(PLACES))
-    started = [not math.isnan(x) for x in out[-1]]
-    return [name for name, there in zip(PLACES, started, strict=True) if there]
+    """Return what a method has an estimate of, valid or not, in the order of the tables."""
+    outputs = {variable.name: expression for variable, expression in observer(methods()[method]).outputs.values()}
+    return [name for name in PLACES if not outputs[f"{name}_hat"].is_constant()]
 
 
 def _hats(names: Any) -> list[str]:
@@ -143,7 +148,7 @@ def spread_starts(method: str, plant: str, random: np.random.Generator) -> dict[
 def whole(plant: str, order: int, seed: int) -> Json:
     """Return all results on one record."""
     data, second = record(plant, order, seed, SECONDS), record(plant, order, 1000 + seed, SECOND_RECORD)
-    out: Json = {sensor: {method: judged(method, plant, data, second, sensor) for method in methods()} for sensor in SENSORS}
+    out: Json = {sensor: {method: judged(method, plant, data, second, sensor) for method in estimators()} for sensor in SENSORS}
     best = out["encoder"][BEST]["checks"][f"{CHECKS[0]:g}"]["estimates"]
     out["baselines"] = baselines(data, second, best)
     if plant in TRUE:
@@ -167,7 +172,7 @@ def after_a_change(plant: str, order: int, seed: int) -> Json:
     before = round(CHECKS[0] / STEP)
     for name in ("sigma0", "sigma1", "sigma2"):
         true[name] *= 2.0
-    for method in methods():
+    for method in estimators():
         known = [p.symbol for p in methods()[method].parameters if p.name in told(method)]
         rows, valid, failure = observed(method, data, "encoder", {})
         places = [i for i, name in enumerate(PLACES) if name not in known and np.isfinite(rows[-1, i])]
@@ -182,7 +187,7 @@ def from_spread_starts(plant: str, order: int, seed: int, runs: int) -> Json:
     """Return for each method that has starts how often it is not within 5 % at 60 s, from starts that are far off."""
     data = {name: values[: round(CHECKS[0] / STEP)] for name, values in record(plant, order, seed, CHECKS[0]).items()}
     out: Json = {}
-    for method in methods():
+    for method in estimators():
         random, failed, names = np.random.default_rng([order, seed]), 0, spread_starts(method, plant, np.random.default_rng(0))
         if not names:
             continue

@@ -12,12 +12,12 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jobs import BEST, CHECKS, PLACES
+from jobs import BEST, CHECKS, PLACES, estimators
 from records import STEP, record
 from scipy.stats import beta
 
 from bristle.model.native import Native
-from bristle.observer import methods, observer_program
+from bristle.observer import observer_program
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -89,7 +89,7 @@ def identification(results: Results, sensor: str) -> str:
     what = ("to 5 %, s", f"error at {EARLY} s, %", f"at {LATE} s, %")
     head = ["method", *(f"{plant}: {each}" for plant in WITH_TRUTH for each in what)]
     rows = []
-    for method in methods():
+    for method in estimators():
         cells = [method]
         for plant in WITH_TRUTH:
             entries = results.methods(sensor, plant, method)
@@ -109,7 +109,7 @@ def bias(results: Results, sensor: str) -> str:
     """Return the table of the mean signed error of each parameter at the end."""
     head = ["method", *(f"{plant}: {name}" for plant in WITH_TRUTH for name in PLACES)]
     rows = []
-    for method in methods():
+    for method in estimators():
         cells = [method]
         for plant in WITH_TRUTH:
             for name in PLACES:
@@ -125,7 +125,7 @@ def validation(results: Results, sensor: str, over: str, plants: Sequence[str]) 
     head = ["method", *(f"{plant}, {check} s" for plant in plants for check in (EARLY, LATE))]
     rows = [
         [method, *(two(ratios(results, sensor, plant, method, check, over), ".3g") for plant in plants for check in (EARLY, LATE))]
-        for method in methods()
+        for method in estimators()
     ]
     return table(head, rows)
 
@@ -133,7 +133,7 @@ def validation(results: Results, sensor: str, over: str, plants: Sequence[str]) 
 def changes(results: Results) -> str:
     """Return the table of the doubled load."""
     rows = []
-    for method in methods():
+    for method in estimators():
         cells = [method]
         for plant in WITH_TRUTH:
             cells.append(two(result[method]["back_s"] for result in results.of("change", plant)))
@@ -144,7 +144,7 @@ def changes(results: Results) -> str:
 def starts(results: Results) -> str:
     """Return the table of starts that are far off."""
     rows = []
-    for method in methods():
+    for method in estimators():
         counts = [[r[method] for r in results.of("starts", plant) if method in r] for plant in WITH_TRUTH]
         if all(counts):
             cells = [f"{sum(r['failed'] for r in each)} of {sum(r['runs'] for r in each)}" for each in counts]
@@ -156,7 +156,7 @@ def cost() -> str:
     """Return the table of cost per step, measured now, side by side: the least of several runs of each."""
     data = record("S", 1, 1, COST_STEPS * STEP)
     inputs = {name: data[name] for name in ("u", "y_theta", "y_v")}
-    instances = {method: Native(observer_program(method)) for method in methods()}
+    instances = {method: Native(observer_program(method)) for method in estimators()}
     best = dict.fromkeys(instances, math.inf)
     for _ in range(5):
         for method, instance in instances.items():
@@ -218,7 +218,7 @@ def efficiency(results: Results, plant: str) -> list[float]:
 
 def figure_times(results: Results, out: Path) -> None:
     """Draw the times to 5 %, a dot a record."""
-    names = [m for m in methods() if any(e["settling_s"] is not None for p in WITH_TRUTH for e in results.methods("encoder", p, m))]
+    names = [m for m in estimators() if any(e["settling_s"] is not None for p in WITH_TRUTH for e in results.methods("encoder", p, m))]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
     for row, method in enumerate(reversed(names)):
         for plant, mark, shift in zip(WITH_TRUTH, "os", (0.12, -0.12), strict=True):
@@ -242,7 +242,7 @@ def figure_floor(results: Results, out: Path) -> None:
     def of(plant: str, method: str) -> list[float]:
         return [x for x in ratios(results, "encoder", plant, method, EARLY, "modified") if math.isfinite(x)]
 
-    names = [method for method in methods() if any(of(plant, method) for plant in FIT)]
+    names = [method for method in estimators() if any(of(plant, method) for plant in FIT)]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
     for row, method in enumerate(reversed(names)):
         for plant, shift in zip(FIT, (0.2, 0.0, -0.2), strict=True):
