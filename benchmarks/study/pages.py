@@ -218,7 +218,10 @@ def efficiency(results: Results, plant: str) -> list[float]:
 
 def figure_times(results: Results, out: Path) -> None:
     """Draw the times to 5 %, a dot a record."""
-    names = [m for m in estimators() if any(e["settling_s"] is not None for p in WITH_TRUTH for e in results.methods("encoder", p, m))]
+    def settles(method: str) -> bool:
+        return any(e["settling_s"] is not None for plant in WITH_TRUTH for e in results.methods("encoder", plant, method))
+
+    names = [method for method in estimators() if settles(method)]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
     for row, method in enumerate(reversed(names)):
         for plant, mark, shift in zip(WITH_TRUTH, "os", (0.12, -0.12), strict=True):
