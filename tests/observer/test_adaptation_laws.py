@@ -38,6 +38,7 @@ NEW = (
     "martinez_poznyak",
     "martinez_poznyak_position",
     "two_step_drem",
+    "two_step_martinez",
 )
 
 
@@ -95,6 +96,7 @@ CASES = [  # limits of about twice what was measured
     ("drem", "S", STEP2, 0.7),
     ("drem_position", "S", STEP2, 2.5),
     ("two_step_drem", "S", STEP1 + STEP2, 2.5),
+    ("two_step_martinez", "S", STEP1 + STEP2, 3.0),
 ]
 
 
