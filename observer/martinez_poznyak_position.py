@@ -6,7 +6,7 @@ from bristle.observer import martinez_poznyak, smoothing, zhang
 from bristle.observer.method import Method, Sample, Update, Workshop
 
 BANDWIDTH = 10.0  # 1/s; the counts of an encoder are in nu, which has to be averaged for longer
-NOISE = 5.0  # rad/s2
+NOISE = 2.0  # rad/s2
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:

@@ -68,7 +68,7 @@ def least_squares(covariance: SX, h: SX, error: SX, noise: SX, forgetting: SX, l
     gained = covariance @ h
     excited = ca.dot(h, gained)
     lost = excited < 0
-    denominator = forgetting * noise + ca.fmax(excited, 0)
+    denominator = forgetting * noise + excited
     kept = ca.if_else(lost, largest / h.numel() * SX.eye(h.numel()), covariance - gained @ gained.T / denominator)
     new = kept / ca.if_else(ca.sumsqr(kept) > largest**2, 1, forgetting)
     return ca.if_else(lost, 0, gained * (error / denominator)), (new + new.T) / 2
