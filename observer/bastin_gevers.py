@@ -91,8 +91,9 @@ def adapt(p: Namespace, s: Sample, vc: SX) -> dict[str, SX]:
     """Advance x^ and theta^ over one sample: x' = phi theta, phi = [-v, u, -sgn v], while |v| > vc.
 
     Held over a sample: phi takes the mean of the two velocities (an Euler step on y_(k-1) biases b by c1 Ts/2), the
-    output injection c1 decays exactly, and the gradient is taken at the error after the step, which keeps any gain
-    stable. At gate entry x^ is set to the measured velocity.
+    gradient is taken at the error that the new theta^ leaves, and of that error exp(-c1 Ts) remains: with theta~ for the
+    error of theta^, theta~' Gamma^-1 theta~ plus the square of the error never grows, whatever the gain. At gate entry x^ is
+    set to the measured velocity.
 
     Source: bastin1988 eq. (3); dixit2008 eq. (3) with n = 1, R = 0 and section IV-E.
     """
@@ -104,7 +105,7 @@ def adapt(p: Namespace, s: Sample, vc: SX) -> dict[str, SX]:
     predicted = x + s.period * ca.dot(phi, theta)
     error = (s.y1 - predicted) / (1 + s.period**2 * ca.dot(phi, gamma * phi))
     theta_new = ca.if_else(gate, theta + s.period * gamma * phi * error, theta)
-    x_new = ca.if_else(gate, predicted + (1 - ca.exp(-p.c1 * s.period)) * error, s.y1)
+    x_new = ca.if_else(gate, s.y1 - ca.exp(-p.c1 * s.period) * error, s.y1)
     names = [f"step1_{name}" for name in NAMES]
     return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {"step1_v": x_new, "step1_gate": gate}
 

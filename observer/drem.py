@@ -19,7 +19,7 @@ from bristle.observer.method import Method, Sample, Update, Workshop, stack, uns
 
 SX = ca.SX
 SOURCE = "aranovskiy2017"
-LEAST = 1e-250  # keeps 0/0 out where a record says nothing at all
+FORGOTTEN = 10.0  # time constants after which the start of two sections is below a thousandth
 
 
 def means(s: Sample, alpha2: SX, b: SX) -> SX:
@@ -39,17 +39,14 @@ def means(s: Sample, alpha2: SX, b: SX) -> SX:
 def regression(p: Namespace, signals: SX, period: SX) -> tuple[SX, SX, dict[str, SX]]:
     """Return (z, h, next states) of z = h' theta at a sampling instant from the means over the samples around it.
 
-    Two equal low-pass sections act on all signals; the difference of two means of w is the mean of two means of w'. The
-    filters of w start from the first w there is, else its jump from zero would count as w'.
+    Two equal low-pass sections act on all signals; the difference of two means of w is the mean of two means of w'.
     Source: aranovskiy2017; dixit2008 eq. (16).
     """
-    runs = p.step2_runs > 0
-    start = ca.vertcat(signals[0], SX(4, 1))
-    once, twice = (ca.if_else(runs, stack(p, f"step2_{name}", 5), start) for name in ("once", "twice"))
+    once, twice = stack(p, "step2_once", 5), stack(p, "step2_twice", 5)
     gain = 1 - ca.exp(-p.bandwidth * period)
     once_new = once + gain * (signals - once)
     new = twice + gain * (once_new - twice)
-    filters = {**unstack("step2_once", once_new), **unstack("step2_twice", new), "step2_runs": SX(1)}
+    filters = {**unstack("step2_once", once_new), **unstack("step2_twice", new)}
     return (new[0] - twice[0]) / period, (new[1:] + twice[1:]) / 2, filters
 
 
@@ -84,23 +81,31 @@ def _without(columns: tuple[int, ...], place: int) -> tuple[int, ...]:
 def adapt(p: Namespace, z: SX, h: SX, period: SX) -> dict[str, SX]:
     """Extend, mix and advance theta_i' = gamma Delta (mixed_i - Delta theta_i) / (Delta^2 + (kappa D)^2) over a sample.
 
-    D is the product of the diagonal of Phi. By Hadamard's inequality Delta <= D, and Delta / D tells without a unit how far
+    D is the product of the diagonal of Phi, lifted by the squares of the smallest regressors that count, for 1 s: those that
+    move z by its noise with a parameter of the size expected. By Hadamard's inequality Delta <= D, and Delta / D tells how far
     the record separates the parameters: well below kappa little moves. sigma0 and c stay positive by projection.
     Source: aranovskiy2017, with the extension of kreisselmeier1977.
     """
     theta = ca.vertcat(*(p[f"step2_{name}"] for name in zhang.NAMES))
     phi, y = extension.extend(p, h, z, period)
     delta, mixed = mix(phi, y)
-    largest = phi[0, 0] * phi[1, 1] * phi[2, 2] * phi[3, 3]
-    share = (1 - ca.exp(-p.gain * period)) * delta / (delta**2 + (p.kappa * largest) ** 2 + LEAST)
+    least = (p.noise / zhang.scales(p)) ** 2
+    lifted = [phi[i, i] + least[i] for i in range(4)]
+    largest = lifted[0] * lifted[1] * lifted[2] * lifted[3]
+    share = (1 - ca.exp(-p.gain * period)) * delta / (delta**2 + (p.kappa * largest) ** 2)
     new = ca.fmax(theta + share * (mixed - delta * theta), ca.vertcat(*zhang.LOWEST))
     return {**extension.write(phi, y), **{f"step2_{name}": new[i] for i, name in enumerate(zhang.NAMES)}}
 
 
 def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
-    """Return the next states of DREM on velocity with the given alpha2 and b."""
+    """Return the next states of DREM on velocity with the given alpha2 and b.
+
+    Nothing counts until the filters have forgotten that they began from zero, where w may be anything.
+    """
     z, h, filters = regression(p, means(s, alpha2, b), s.period)
-    return filters | adapt(p, z, h, s.period)
+    counts = p.step2_clear > FORGOTTEN / p.bandwidth
+    new = {name: ca.if_else(counts, value, p[name]) for name, value in adapt(p, z, h, s.period).items()}
+    return filters | new | {"step2_clear": p.step2_clear + s.period}
 
 
 def published(p: Namespace, v: SX, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
@@ -120,7 +125,9 @@ def parameters(prefix: str, bandwidth: float) -> tuple[Parameter, ...]:
         Parameter(f"{prefix}.bandwidth", "a", "1/s", bandwidth, 1e-3, 1e5, "corner of each of the two low-pass sections", SOURCE),
         extension.parameter(prefix, 0.02),
         Parameter(f"{prefix}.gain", "gamma", "1/s", 2.0, 0.0, 1e6, "adaptation rate", SOURCE),
-        Parameter(f"{prefix}.kappa", "kappa", "1", 1e-6, 0.0, 1.0, "Delta / D below which little moves", SOURCE),
+        Parameter(f"{prefix}.kappa", "kappa", "1", 1e-6, 1e-12, 1.0, "Delta / D below which little moves", SOURCE),
+        Parameter(f"{prefix}.noise", "r", "rad/s3", 1.0, 1e-3, 1e6, "noise of z, the filtered w'", SOURCE),
+        *zhang.scale_parameters(prefix, SOURCE),
         *zhang.start_parameters(prefix, STARTS, SOURCE),
     )
 
@@ -128,7 +135,7 @@ def parameters(prefix: str, bandwidth: float) -> tuple[Parameter, ...]:
 STATES = (
     *vector_states("step2_once", "1", "signals of step 2 after one section", 5),
     *vector_states("step2_twice", "1", "signals of step 2 after two sections", 5),
-    State("step2_runs", "1", "1 once the filters of step 2 run"),
+    State("step2_clear", "s", "time since the filters of step 2 began"),
     *extension.states(4),
     *zhang.estimate_states("step2"),
 )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer.method import stack, unstack, vector_states
+from bristle.observer.method import stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
 
 SX = ca.SX
 
@@ -19,7 +19,7 @@ SX = ca.SX
 def states(n: int) -> tuple[State, ...]:
     """Declare Phi (its upper triangle) and Y."""
     return (
-        *vector_states("phi", "1", "extended regressor, upper triangle", n * (n + 1) // 2),
+        *symmetric_states("phi", "1", "extended regressor", n),
         *vector_states("y", "1", "extended output", n),
     )
 
@@ -31,15 +31,12 @@ def parameter(prefix: str, q: float) -> Parameter:
 
 def read(p: Namespace, n: int) -> tuple[SX, SX]:
     """Return (Phi, Y)."""
-    packed = stack(p, "phi", n * (n + 1) // 2)
-    place = {pair: k for k, pair in enumerate(_triangle(n))}
-    rows = [[packed[place[min(i, j), max(i, j)]] for j in range(n)] for i in range(n)]
-    return ca.vertcat(*(ca.horzcat(*row) for row in rows)), stack(p, "y", n)
+    return stack_symmetric(p, "phi", n), stack(p, "y", n)
 
 
 def write(phi: SX, y: SX) -> dict[str, SX]:
     """Return Phi and Y as states."""
-    return {**unstack("phi", ca.vertcat(*(phi[i, j] for i, j in _triangle(y.numel())))), **unstack("y", y)}
+    return unstack_symmetric("phi", phi) | unstack("y", y)
 
 
 def extend(p: Namespace, h: SX, z: SX, period: SX) -> tuple[SX, SX]:
@@ -51,7 +48,3 @@ def extend(p: Namespace, h: SX, z: SX, period: SX) -> tuple[SX, SX]:
     kept = ca.exp(-p.fading * period)
     gain = (1 - kept) / p.fading
     return kept * phi + gain * h @ h.T, kept * y + gain * h * z
-
-
-def _triangle(n: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(n) for j in range(i, n)]

@@ -68,23 +68,31 @@ def chain(n: int, lam: SX, zeros: SX, period: SX) -> Chain:
     return Chain(integrators(n, period), innovation_gain([SX(0), *others], period), k)
 
 
-def advance(c: Chain, x: SX, m: SX, theta: SX, driven: SX, y: SX, gamma: SX) -> tuple[SX, SX, SX]:
-    """Return x^, M and theta^ a sample later; `driven` is what Psi adds to x over the sample, n x q.
+def advance(c: Chain, x: SX, m: SX, theta: SX, psi: SX, y: SX, gamma: SX) -> tuple[SX, SX, SX]:
+    """Return x^, M and theta^ a sample later; `psi` is what Psi adds to x over the sample, n x q.
 
-    The gradient is taken at the error after the step, which keeps any gain stable.
+    The gradient is taken at the error that the new theta^ leaves, and x^ goes its way with the new theta^. Of the true
+    parameters' distance from theta^ the answer of that error is passive, so that no gain is too large.
     Source: marino1990, in discrete time.
     """
-    ahead = c.phi @ m + driven
+    ahead = c.phi @ m + psi
     beta = ahead[0, :].T  # times Ts
-    predicted = c.phi @ x + driven @ theta
+    predicted = c.phi @ x + psi @ theta
     error = (y - predicted[0]) / (1 + ca.dot(beta, gamma * beta))
     change = gamma * beta * error
-    m = ahead - c.b @ beta.T
-    return predicted + c.k * error + m @ change, m, theta + change
+    return predicted + ahead @ change + c.k * error, ahead - c.b @ beta.T, theta + change
+
+
+def driven(middle: SX, u: SX, sign: SX, h: SX) -> SX:
+    """Return what Psi = [[-q, 0, 0], [0, u, -sgn v]] adds to x1 = q, x2 = v + alpha2 q over a sample with mean position `middle`.
+
+    Source: marino1990; dixit2008 eq. (23) with q' = v before it.
+    """
+    return ca.vertcat(ca.horzcat(-h * middle, h**2 / 2 * u, -(h**2) / 2 * sign), ca.horzcat(0, h * u, -h * sign))
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:
-    """Observe x1 = q, x2 = v + alpha2 q: Psi = [[-q, 0, 0], [0, u, -sgn v]], with q counted from the gate's opening.
+    """Run the observer while |v| > vc, with q counted from the gate's opening.
 
     Speed for the gate and its sign come from position through two low-pass sections. At the gate's opening x2 is not
     known better than that; nothing adapts until the observer has forgotten it.
@@ -95,19 +103,14 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     once = p.once + low * ((s.y1 - s.y0) / h - p.once)
     speed = p.speed + low * (once - p.speed)
     runs = ca.fabs(speed) > p.vc
-    sign = ca.sign(speed)
-    middle = (s.y0 + s.y1) / 2 - p.origin
-    driven = ca.vertcat(
-        ca.horzcat(-h * middle, h**2 / 2 * s.u, -(h**2) / 2 * sign),
-        ca.horzcat(0, h * s.u, -h * sign),
-    )
+    psi = driven((s.y0 + s.y1) / 2 - p.origin, s.u, ca.sign(speed), h)
     c = chain(2, p.lam, p.zero, h)
     c = Chain(c.phi, shop.constant("b", c.b), shop.constant("k", c.k))
     clear = p.clear + h
     gamma = ca.if_else(clear > p.hold_off, ca.vertcat(p.gamma1, p.gamma2, p.gamma3), 0)
     theta = stack(p, "theta", 3)
     m = ca.vertcat(SX(1, 3), stack(p, "m", 1, 3))
-    x, m, theta_new = advance(c, stack(p, "x", 2), m, theta, driven, s.y1 - p.origin, gamma)
+    x, m, theta_new = advance(c, stack(p, "x", 2), m, theta, psi, s.y1 - p.origin, gamma)
     return Update(
         next={
             "once": once,

@@ -5,6 +5,9 @@ from __future__ import annotations
 from bristle.observer import martinez_poznyak, smoothing, zhang
 from bristle.observer.method import Method, Sample, Update, Workshop
 
+BANDWIDTH = 10.0  # 1/s; the counts of an encoder are in nu, which has to be averaged for longer
+NOISE = 2.0  # rad/s2
+
 
 def _equations(shop: Workshop, s: Sample) -> Update:
     p = shop.p
@@ -21,7 +24,7 @@ METHOD = Method(
     (
         *zhang.known_parameters("martinez_poznyak_position"),
         smoothing.parameter("martinez_poznyak_position"),
-        *martinez_poznyak.parameters("martinez_poznyak_position", 10.0, 5.0),
+        *martinez_poznyak.parameters("martinez_poznyak_position", BANDWIDTH, NOISE),
     ),
     (*smoothing.STATES, *martinez_poznyak.STATES),
     _equations,

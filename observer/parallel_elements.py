@@ -31,7 +31,8 @@ GRID = (30.0, 100.0, 300.0)  # 1/rad
 WEIGHTS = BASIS_COUNT + 1
 CHI = len(GRID) * WEIGHTS
 ENTRIES = 2 + CHI  # alpha2, b, sigma_ij
-LARGEST = 1e13  # trace of the covariance, above any start
+START = [1e4] * 2 + [1e8] * CHI  # variances
+LARGEST = ENTRIES * 1e8  # size that forgetting may give the covariance
 
 
 def _distances(p: Namespace) -> SX:
@@ -102,7 +103,7 @@ METHOD = Method(
         *vector_states("once", "1", "signals after one section", ENTRIES + 1),
         *vector_states("twice", "1", "signals after two sections", ENTRIES + 1),
         *vector_states("theta", "1", "alpha2, b, sigma_ij", ENTRIES),
-        *symmetric_states("cov", "1", "their covariance", ENTRIES, [1e4] * 2 + [1e8] * CHI),
+        *symmetric_states("cov", "1", "their covariance", ENTRIES, START),
     ),
     _equations,
 )

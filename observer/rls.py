@@ -15,7 +15,6 @@ SX = ca.SX
 EQUATION = "ljung1999 section 11.2; dixit2008 eq. (23)"
 NAMES = units("alpha2", "b", "Fc")
 GATE = math.radians(85.0)
-LARGEST = 1e13  # trace of the covariance, above any start
 
 
 @dataclass(frozen=True)
@@ -63,22 +62,24 @@ def regression(p: Namespace, s: Sample) -> Regression:
 def least_squares(covariance: SX, h: SX, error: SX, noise: SX, forgetting: SX, largest: SX) -> tuple[SX, SX]:
     """Return (change of theta, covariance) after a sample of error = h' (true theta - theta) + noise of that variance.
 
-    Nothing is forgotten where that would lift the trace of the covariance above `largest`: what a record never excites
-    would otherwise grow without end.
+    Nothing is forgotten where that would lift the covariance above `largest`: what a record never excites would grow without
+    end. Where rounding has cost the covariance its sign (a jump of the signals by many orders), it starts again.
     Source: ljung1999 section 11.2, with exponential forgetting.
     """
     gained = covariance @ h
-    denominator = forgetting * noise + ca.fmax(ca.dot(h, gained), 0)
-    kept = covariance - gained @ gained.T / denominator
-    new = kept / ca.if_else(ca.trace(kept) > largest, 1, forgetting)
-    return gained * (error / denominator), (new + new.T) / 2
+    excited = ca.dot(h, gained)
+    lost = excited < 0
+    denominator = forgetting * noise + excited
+    kept = ca.if_else(lost, largest / h.numel() * SX.eye(h.numel()), covariance - gained @ gained.T / denominator)
+    new = kept / ca.if_else(ca.sumsqr(kept) > largest**2, 1, forgetting)
+    return ca.if_else(lost, 0, gained * (error / denominator)), (new + new.T) / 2
 
 
 def fit(p: Namespace, s: Sample) -> dict[str, SX]:
     """Fit the filtered regression by recursive least squares."""
     r = regression(p, s)
     theta, covariance = stack(p, "theta", 3), stack(p, "p", 3, 3)
-    change, covariance_new = least_squares(covariance, r.h, r.z - ca.dot(r.h, theta), SX(1), p.forgetting, SX(LARGEST))
+    change, covariance_new = least_squares(covariance, r.h, r.z - ca.dot(r.h, theta), SX(1), p.forgetting, 3 * p.p_start)
     return {
         **r.next,
         **unstack("theta", ca.if_else(r.counts, theta + change, theta)),

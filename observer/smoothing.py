@@ -31,8 +31,8 @@ def smooth(p: Namespace, s: Sample) -> tuple[Sample, dict[str, SX]]:
     first values there are.
     Source: dixit2008 section III, the remark on position measurement at its end.
     """
-    raw = ca.vertcat((s.y1 - s.y0) / s.period, (s.u + p.u_before) / 2)
     runs = p.smooth_runs > 0
+    raw = ca.vertcat((s.y1 - s.y0) / s.period, (s.u + ca.if_else(runs, p.u_before, s.u)) / 2)
     once, twice = (ca.if_else(runs, stack(p, name, 2), raw) for name in ("smooth", "smoother"))
     gain = 1 - ca.exp(-p.smoothing * s.period)
     once_new = once + gain * (raw - once)
