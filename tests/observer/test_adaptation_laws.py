@@ -281,10 +281,10 @@ def test_drem_follows_the_solution_of_the_extended_equation():
     inputs = {"u": data["u"][:20000], "y_v": data["y_v"][:20000]}
     instance = Native(observer_program("drem"), known("drem") | {"drem.gain": 1e6, "drem.kappa": 1e-12})
     out, _ = instance.run(STEP, inputs, [*names, *(f"{name}_hat" for name in STEP2)])
-    upper, y, estimates = out[-1, :10], out[-1, 10:14], out[-1, 14:]
+    lower, y, estimates = out[-1, :10], out[-1, 10:14], out[-1, 14:]
     phi = np.zeros((4, 4))
-    phi[np.triu_indices(4)] = upper
-    phi = phi + np.triu(phi, 1).T
+    phi[np.tril_indices(4)] = lower
+    phi = phi + np.tril(phi, -1).T
     np.testing.assert_allclose(estimates, np.linalg.solve(phi, y), rtol=1e-6)
 
 
