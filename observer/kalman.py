@@ -18,6 +18,7 @@ SX = ca.SX
 STATES = 3  # theta, v, w
 ORDER = STATES + 5 + BASIS_COUNT  # alpha2, b, tau, c and one weight more than there are basis functions
 SOURCE = "jazwinski1970 chapter 8"
+PARTS = 4  # of a sample; in one piece the model is off by as much as a minute of an encoder tells of the parameters
 
 
 @dataclass(frozen=True)
@@ -73,13 +74,20 @@ def advance(x: SX, servo: Servo, u: SX, h: SX) -> SX:
     return ca.vertcat(theta + h / 2 * (v + v_new), v_new, w_new)
 
 
+def sample(x: SX, servo: Servo, u: SX, h: SX) -> SX:
+    """Advance (theta, v, w) over a sample in `PARTS` steps."""
+    for _ in range(PARTS):
+        x = advance(x, servo, u, h / PARTS)
+    return x
+
+
 def predict(meaning: Callable[[SX], Servo], z: SX, covariance: SX, u: SX, h: SX) -> tuple[SX, SX]:
     """Return (z, P) at the end of a sample, without process noise; the entries behind the states stay.
 
     Source: jazwinski1970 chapter 8 (extended Kalman filter).
     """
     symbol = SX.sym("z", ORDER)
-    moved = advance(symbol[:STATES], meaning(symbol[STATES:]), u, h)
+    moved = sample(symbol[:STATES], meaning(symbol[STATES:]), u, h)
     moved, slope = ca.substitute([moved, ca.jacobian(moved, symbol)], [symbol], [z])
     crossed = slope @ covariance
     new = SX(covariance)

@@ -58,14 +58,15 @@ LONGEST_TAU = 1.0  # s
 # Noise that follows from the innovations.
 CONSISTENT = 1.05  # mean of squared innovation over its variance, up to which the model counts as right
 FULL_MISFIT = 0.3  # beyond that by this much, the model counts as wrong altogether
-FAINTEST = 1e-3  # share of the process noise that stays when the model is right
+OFF = 2.0  # the mean of late, which scatters more, up to which the model may be right; beyond it by one, it is wrong altogether
+FAINTEST = 1e-5  # share of the process noise that stays when the model is right
 SETTLED = 5.0  # s after a start, from which the innovations are judged
 BEFORE = 2.0  # s: the innovations of late are compared with their mean as it was one to two of these ago
 LOST = (8.0, 1000.0)  # s after a start, and mean innovation, with which it went nowhere
 FIRST_MEMORY = 1.0  # s
 SAME = 100.0  # samples with the same count, at most, that share one rounding error
-FADING = 4  # power of time with which the early noise goes
-DOUBT = 12.0  # s after a start, up to which the model does not count as right whatever the innovations say
+FADING = 8  # power of time with which the early noise goes
+DOUBT = 10.0  # s after a start, up to which the model does not count as right whatever the innovations say
 WATCHFUL = 10.0  # s after a start, from which a change is looked for
 
 
@@ -126,7 +127,7 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
         known = ca.logic_and(known, covariance[i, i] <= prior[i] ** 2)
     memory = ca.fmin(p.age, p.longest_memory) + FIRST_MEMORY
     covariance = covariance * (1 + ca.if_else(known, p.memory * h / memory, 0))
-    misfit = ca.fmin(ca.fmax((p.innovation - CONSISTENT) / FULL_MISFIT, 0), 1)
+    misfit = ca.fmin(ca.fmax(ca.fmax((p.innovation - CONSISTENT) / FULL_MISFIT, p.innovation_late - OFF), 0), 1)
     early = 1 / (1 + (p.age / p.early_time) ** FADING)
     doubt = 1 / (1 + (p.age / DOUBT) ** FADING)
     noise = p.level**2 * (ca.fmax(ca.fmax(misfit, FAINTEST), doubt) + p.early_noise * early)
@@ -242,7 +243,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("early_noise", "q_0", "1", 100.0, 0.0, 1e9, "how much larger it is at a start", GROWING),
         own("early_time", "T_q", "s", 2.0, 1e-3, 1e3, "how long", GROWING),
         own("misfit_noise", "r_m", "1", 100.0, 0.0, 1e9, "how much less a position counts where the model is wrong", ADAPTIVE),
-        own("memory", "k", "1", 2.0, 0.0, 10.0, "weight of the past: (time since the start / now)^k", GROWING),
+        own("memory", "k", "1", 1.0, 0.0, 10.0, "weight of the past: (time since the start / now)^k", GROWING),
         own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
         own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
         own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE),

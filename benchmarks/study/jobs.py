@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import bodies
 import numpy as np
 from fits import FIXED, bound, fit, neutral, simulated
 from numpy.typing import NDArray
@@ -61,15 +62,17 @@ def _hats(names: Any) -> list[str]:
     return [f"{name}_hat" for name in names]
 
 
-def observed(method: str, data: Mapping[str, Array], sensor: str, values: Mapping[str, float]) -> tuple[Array, Array, str | None]:
+def observed(
+    method: str, data: Mapping[str, Array], sensor: str, values: Mapping[str, float], step: float = STEP
+) -> tuple[Array, Array, str | None]:
     """Return (estimates of alpha2, b, sigma_i, c, Fc, tau for each t_k, validity, why it ended early)."""
     names = (*PLACES, "Fc", "tau")
     theta, velocity = SENSORS[sensor]
     inputs = {"u": data["u"], "y_theta": data[theta], "y_v": data[velocity]}
-    instance = Native(observer_program(method), {**told(method), **values})
+    instance = Native(observer_program(method), {"sample_time": step, **told(method), **values})
     columns = [*_hats(names), *(f"{name}_valid" for name in names)]
     try:
-        out, _ = instance.run(STEP, inputs, columns)
+        out, _ = instance.run(step, inputs, columns)
     except SimulationError as error:
         nothing = np.full((len(data["u"]), len(names)), np.nan)
         return nothing, np.zeros_like(nothing), str(error)
@@ -89,7 +92,9 @@ def validation(final: Mapping[str, float], second: Mapping[str, Array]) -> tuple
     return None, math.nan
 
 
-def judged(method: str, plant: str, data: Mapping[str, Array], second: Mapping[str, Array], sensor: str) -> Json:
+def judged(
+    method: str, plant: str, data: Mapping[str, Array], second: Mapping[str, Array], sensor: str, checks: tuple[float, ...] = CHECKS
+) -> Json:
     """Return what one method reaches on one record."""
     known = {p.symbol: value for p in methods()[method].parameters for name, value in told(method).items() if name == p.name}
     rows, valid, failure = observed(method, data, sensor, {})
@@ -99,7 +104,7 @@ def judged(method: str, plant: str, data: Mapping[str, Array], second: Mapping[s
     outside = np.flatnonzero(~(np.abs(error) <= BAND).all(axis=1)) if places else np.empty(0, dtype=int)
     settled = float((outside[-1] + 1) * STEP) if len(outside) else 0.0
     out: Json = {"failure": failure, "settling_s": settled if places and outside[-1:] != len(rows) - 1 else None, "checks": {}}
-    for check in CHECKS:
+    for check in checks:
         k = round(check / STEP) - 1
         final = {name: float(rows[k, i]) if valid[k, i] > 0 else math.nan for i, name in enumerate((*PLACES, "Fc", "tau"))}
         law, mse = validation(final | known, second)
@@ -139,8 +144,8 @@ def spread_starts(method: str, plant: str, random: np.random.Generator) -> dict[
     """Return starts of a method's estimates, each up to ten times too large or too small."""
     values = {}
     for p in methods()[method].parameters:
-        name = p.name.removeprefix(f"{method}.").removesuffix("_start")
-        if p.name.endswith("_start") and name in TRUE[plant]:
+        name = started(method, p.name)
+        if name in TRUE[plant]:
             values[p.name] = float(np.clip(TRUE[plant][name] * SPREAD ** random.uniform(-1.0, 1.0), p.minimum, p.maximum))
     return values
 
@@ -155,6 +160,44 @@ def whole(plant: str, order: int, seed: int) -> Json:
         out["information"] = information(plant, data)
     out["changes"] = int(starts_of_best(data) - 1)
     return out
+
+
+def best_alone(plant: str, order: int, seed: int) -> Json:
+    """Return what the best method reaches from the encoder on one more record, with the baselines."""
+    data, second = record(plant, order, seed, CHECKS[0]), record(plant, order, 1000 + seed, SECOND_RECORD)
+    entry = judged(BEST, plant, data, second, "encoder", CHECKS[:1])
+    out: Json = {"encoder": {BEST: entry}}
+    out["baselines"] = baselines(data, second, entry["checks"][f"{CHECKS[0]:g}"]["estimates"])
+    if plant in TRUE:
+        out["information"] = information(plant, data)
+    out["changes"] = int(starts_of_best(data) - 1)
+    return out
+
+
+def two_bodies(plant: str, order: int, seed: int) -> Json:
+    """Return for each method the errors at the end of a record of the two rubbing bodies, in %.
+
+    Methods get the benchmark's start values for what they have a start of, and the true ones of what they take as known.
+    """
+    data, out = bodies.record(seed), dict[str, Json]()
+    for sensor in SENSORS:
+        out[sensor] = {}
+        for method in estimators():
+            declared = methods()[method].parameters
+            given = {p.name: bodies.TRUE[p.symbol] for p in declared if p.name in told(method)}
+            begin = {p.name: bodies.START[name] for p in declared if (name := started(method, p.name)) in bodies.START}
+            known = [p.symbol for p in declared if p.name in given]
+            rows, valid, failure = observed(method, data, sensor, begin | given, bodies.STEP)
+            places = [i for i, name in enumerate(PLACES) if name in bodies.TRUE and name not in known and np.isfinite(rows[-1, i])]
+            final = np.where(valid[-1, places] > 0, rows[-1, places], np.nan)
+            error = error_percent(final, np.array([bodies.TRUE[PLACES[i]] for i in places]))
+            out[sensor][method] = {"errors": {PLACES[i]: float(e) for i, e in zip(places, error, strict=True)}, "failure": failure}
+    return out
+
+
+def started(method: str, parameter: str) -> str:
+    """Return what a parameter of a method is the start value of; for another parameter, no known name."""
+    return parameter.removeprefix(f"{method}.").removesuffix("_start") if parameter.endswith("_start") else ""
 
 
 def starts_of_best(data: Mapping[str, Array]) -> float:

@@ -64,6 +64,10 @@ class Results:
         """Return the results of one kind on one plant."""
         return [result for job, result in self.found.items() if (job.kind, job.plant) == (kind, plant)]
 
+    def of_best(self, plant: str) -> list[Json]:
+        """Return the results of the best method from the encoder, also those on the records that it alone has."""
+        return [*self.of("record", plant), *self.of("best", plant)]
+
     def methods(self, sensor: str, plant: str, method: str) -> list[Json]:
         """Return what a method reached on every record of a plant."""
         return [result[sensor][method] for result in self.of("record", plant)]
@@ -71,14 +75,18 @@ class Results:
 
 def largest(entry: Json, check: str) -> float:
     """Return the largest error of any parameter that has a truth, in %."""
-    errors = entry["checks"][check]["errors"].values()
-    return max((abs(x) if math.isfinite(x) else math.inf for x in errors), default=math.nan)
+    return worst(entry["checks"][check]["errors"])
 
 
-def ratios(results: Results, sensor: str, plant: str, method: str, check: str, over: str) -> list[float]:
+def worst(errors: Mapping[str, float]) -> float:
+    """Return the largest of some errors; none at all is not a number."""
+    return max((abs(x) if math.isfinite(x) else math.inf for x in errors.values()), default=math.nan)
+
+
+def ratios(found: Sequence[Json], sensor: str, method: str, check: str, over: str) -> list[float]:
     """Return the validation error over that of a baseline fitted to the same record."""
     out = []
-    for result in results.of("record", plant):
+    for result in found:
         mse = result[sensor][method]["checks"][check]["mse"]
         out.append(mse / result["baselines"][over]["mse"] if mse is not None and math.isfinite(mse) else math.inf)
     return out
@@ -123,10 +131,10 @@ def bias(results: Results, sensor: str) -> str:
 def validation(results: Results, sensor: str, over: str, plants: Sequence[str]) -> str:
     """Return the table of validation errors over a baseline's."""
     head = ["method", *(f"{plant}, {check} s" for plant in plants for check in (EARLY, LATE))]
-    rows = [
-        [method, *(two(ratios(results, sensor, plant, method, check, over), ".3g") for plant in plants for check in (EARLY, LATE))]
-        for method in estimators()
-    ]
+    rows = []
+    for method in estimators():
+        found = [ratios(results.of("record", plant), sensor, method, check, over) for plant in plants for check in (EARLY, LATE)]
+        rows.append([method, *(two(each, ".3g") for each in found)])
     return table(head, rows)
 
 
@@ -150,6 +158,17 @@ def starts(results: Results) -> str:
             cells = [f"{sum(r['failed'] for r in each)} of {sum(r['runs'] for r in each)}" for each in counts]
             rows.append([method, *cells])
     return table(["method", *WITH_TRUTH], rows)
+
+
+def bodies(results: Results) -> str:
+    """Return the table of the largest errors on the two rubbing bodies."""
+    rows = []
+    for method in estimators():
+        cells = [method]
+        for sensor in SENSORS:
+            cells.append(two((worst(result[sensor][method]["errors"]) for result in results.of("bodies", "Z")), ".2f"))
+        rows.append(cells)
+    return table(["method", *SENSORS], rows)
 
 
 def cost() -> str:
@@ -180,13 +199,13 @@ def goals(results: Results) -> str:
         rows.append([what, two(values, form), goal, f"{missed} of {len(values)}, {100 * bound(missed, len(values)):.1f} %"])
 
     for plant in WITH_TRUTH:
-        entries = results.methods("encoder", plant, BEST)
+        entries = [result["encoder"][BEST] for result in results.of_best(plant)]
         add(f"{plant}: time to 5 %, s", [x if (x := e["settling_s"]) is not None else math.inf for e in entries],
             lambda x: x <= 10, "median <= 6, worst <= 10", ".1f")  # fmt: skip
         add(f"{plant}: largest error at {EARLY} s, %", [largest(e, EARLY) for e in entries], lambda x: x <= 0.3, "<= 0.3")
         add(f"{plant}: MSE, %", [e["checks"][EARLY]["mse"] for e in entries], lambda x: x <= 1e-4, "<= 1e-4", ".1e")
     for plant in FIT:
-        add(f"{plant}: MSE over floor at {EARLY} s", ratios(results, "encoder", plant, BEST, EARLY, "modified"),
+        add(f"{plant}: MSE over floor at {EARLY} s", ratios(results.of_best(plant), "encoder", BEST, EARLY, "modified"),
             lambda x: x <= 1.5, "worst <= 1.5")  # fmt: skip
     for plant in WITH_TRUTH:
         back = [r[BEST]["back_s"] for r in results.of("change", plant)]
@@ -196,7 +215,7 @@ def goals(results: Results) -> str:
         failed, n = sum(c["failed"] for c in counts), sum(c["runs"] for c in counts)
         rows.append([f"{plant}: starts ten times off, not within 5 % at {EARLY} s", f"{failed} of {n}", "0",
                      f"{failed} of {n}, {100 * bound(failed, n) if n else 100:.1f} %"])  # fmt: skip
-    false = [result["changes"] > 0 for job, result in results.found.items() if job.kind == "record"]
+    false = [result["changes"] > 0 for plant in (*WITH_TRUTH, *FIT) for result in results.of_best(plant)]
     rows.append(["changes found on unchanged records", f"{sum(false)} of {len(false)}", "<= 1 of 60",
                  f"{sum(false)} of {len(false)}, {100 * bound(sum(false), len(false)):.1f} %"])  # fmt: skip
     for plant in WITH_TRUTH:
@@ -209,7 +228,7 @@ def efficiency(results: Results, plant: str) -> list[float]:
     out = []
     for i, name in enumerate(PLACES):
         scaled = []
-        for result in results.of("record", plant):
+        for result in results.of_best(plant):
             error = result["encoder"][BEST]["checks"][EARLY]["errors"][name] / 100
             scaled.append((error / result["information"][EARLY][i]) ** 2)
         out.append(math.sqrt(statistics.mean(scaled)) if scaled else math.inf)
@@ -243,7 +262,7 @@ def figure_times(results: Results, out: Path) -> None:
 def figure_floor(results: Results, out: Path) -> None:
     """Draw the validation error over the floor on the plants that no observer's model contains."""
     def of(plant: str, method: str) -> list[float]:
-        return [x for x in ratios(results, "encoder", plant, method, EARLY, "modified") if math.isfinite(x)]
+        return [x for x in ratios(results.of("record", plant), "encoder", method, EARLY, "modified") if math.isfinite(x)]
 
     names = [method for method in estimators() if any(of(plant, method) for plant in FIT)]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
@@ -273,6 +292,12 @@ them, and they are judged by eq. (25) on a second record, over what a fit reache
 """
 
 
+ABOUT_BODIES = """The benchmark of clavel2001: 3 x 1000 samples of 5 ms, saw-tooth forces, one length and one stiffness of the
+bristles; encoder: 1 um. Its own start values are given to the methods that have starts, the true alpha2 and b to those that take
+them as known; a millimetre stands for the radian. All else is as the methods come, made for 1 ms and for a servo; here 1 000 mm/s
+are reached, at which the presliding distance is passed fifty times in a sample: only reversals tell sigma0 and c apart."""
+
+
 def publish(found: Mapping[Any, Path], docs: Path) -> str:
     """Write the pages and figures, and return where they are."""
     results = Results(found)
@@ -290,6 +315,7 @@ def publish(found: Mapping[Any, Path], docs: Path) -> str:
         parts += [f"## Mean error at {LATE} s in %, {sensor}", bias(results, sensor)]
     parts += ["## Normal load doubled at 60 s: seconds until within 5 % again, encoder", changes(results)]
     parts += [f"## Starts up to ten times off: records not within 5 % at {EARLY} s, encoder", starts(results)]
+    parts += ["## Two bodies (Z): largest error at the end of 15 s in %", ABOUT_BODIES, bodies(results)]
     parts += ["## Cost", cost()]
     page = docs / "README.md"
     page.write_text("\n\n".join(part.strip() for part in parts) + "\n", encoding="utf-8")

@@ -37,6 +37,8 @@ ORDERS = (1, 2)
 STARTS = 5  # on each record, so that 24 records make more than a hundred
 WORK: dict[str, Callable[[str, int, int], Any]] = {
     "record": jobs.whole,
+    "best": jobs.best_alone,
+    "bodies": jobs.two_bodies,
     "change": jobs.after_a_change,
     "starts": partial(jobs.from_spread_starts, runs=STARTS),
 }
@@ -61,12 +63,13 @@ class Job:
 
 
 def plan(seeds: int) -> Iterator[Job]:
-    """Yield all jobs, the longest first."""
-    for kind, plants in (("record", STUDIED), ("starts", tuple(TRUE)), ("change", tuple(TRUE))):
-        for seed in range(1, seeds + 1):
-            for plant in plants:
-                for order in ORDERS:
-                    yield Job(kind, plant, order, seed)
+    """Yield all jobs, the longest first. The best method gets as many records again, which no other one has seen."""
+    first, again = range(1, seeds + 1), range(seeds + 1, 2 * seeds + 1)
+    known = tuple(TRUE)
+    kinds = (("record", STUDIED, first), ("best", STUDIED, again), ("starts", known, first), ("change", known, (*first, *again)))
+    for kind, plants, numbers in kinds:
+        yield from (Job(kind, plant, order, seed) for seed in numbers for plant in plants for order in ORDERS)
+    yield from (Job("bodies", "Z", 1, seed) for seed in first)
 
 
 def results_folder(root: Path) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter
-from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters
+from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters, stribeck_truth
 from bristle.plant.maxwell import ELEMENTS, SHARES, element, memory, stiffnesses
 
 PLACES = range(1, ELEMENTS + 1)
@@ -26,7 +26,7 @@ def equations(p: Namespace, v: ca.SX) -> Friction:
     return Friction(
         force=sum((p[f"F{i}"] for i in PLACES), ca.SX(0)),
         rates={f"F{i}": each.rate for i, each in found.items()},
-        true={"Fc": sum(p[f"alpha{i}"] for i in PLACES) * p.Fc / p.J, "v0": p.vs},
+        true=stribeck_truth(p) | {"Fc": sum(p[f"alpha{i}"] for i in PLACES) * p.Fc / p.J},
         switches={f"slip{i}": each.switch for i, each in found.items()},
     )
 

@@ -18,7 +18,9 @@ from bristle.model.variables import Parameter
 from bristle.observer import methods
 from bristle.plant.friction import laws
 
-SMOOTH = ("dahl", "elastoplastic", "lugre", "lugre_velocity_damping", "modified", "modified_polynomial", "viscous")
+SMOOTH = (
+    "dahl", "elastoplastic", "lugre", "lugre_velocity_damping", "modified", "modified_parallel", "modified_polynomial", "viscous",
+)  # fmt: skip
 ALL = [
     *(("plant", {"law": law, "fmi": fmi}) for law in laws() for fmi in (2, 3)),
     *((what, {"fmi": fmi}) for what in ("plant", "controller", "observer") for fmi in (2, 3)),

@@ -2,9 +2,11 @@
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from bristle.model.basis import gaussian
 from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.plant.friction import law, laws
@@ -170,8 +172,8 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
     program = servo_program(name)
     values = Native(program, {"J": J, "b": 0.01, "a2": 0.003, **OWN[name]}).values
     expected = {"alpha2": 1.5, "b": 5.0, **EXPECTED[name]}
-    assert set(NORMALISED) == {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau", "a0", "a1", "v0"}
-    for parameter in NORMALISED:
+    assert set(NORMALISED) == {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau", "vc", "a0", "a1", "v0"}
+    for parameter in set(NORMALISED) - {"vc"}:  # which follows from the others; see below
         value = values[program.index[f"true.{parameter}"]]
         valid = values[program.index[f"true.{parameter}_valid"]]
         assert valid == (1.0 if parameter in expected else 0.0)
@@ -179,6 +181,32 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
             assert value == pytest.approx(expected[parameter], rel=1e-14)
         else:
             assert math.isnan(value)
+
+
+def test_the_true_gate_is_where_the_basis_functions_leave_five_percent():
+    """At the gate the friction level differs by 5 % from Coulomb friction, above it by less, whatever the weights."""
+    program = servo_program("modified")
+    for sigma in ({}, {"modified.sigma2": 50.0}, {"modified.sigma1": 0.0, "modified.sigma2": -300.0}):
+        servo = Native(program, {"J": J, "b": 0.01, "a2": 0.003} | sigma)
+        weights = [dict(zip((s.name for s in program.slots), servo.values, strict=True))[f"modified.sigma{i}"] for i in range(3)]
+        gate = servo.values[program.index["true.vc"]]
+        speeds = np.linspace(0.999 * gate, 3 * gate, 2000)
+        last = np.array([float(ca.evalf(gaussian(ca.SX(v))[-1])) for v in speeds])
+        share = np.abs(weights[2] * last / weights[0])
+        assert share[speeds >= gate].max() < 0.05 < share[0] < 0.051
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_true_gate_is_where_the_stribeck_effect_leaves_five_percent(name):
+    """A friction level Fc + (Fs - Fc) exp(-(v/vs)^2) is within 5 % of Fc from there on; other laws have no such speed."""
+    program = servo_program(name)
+    stribeck = {f"{name}.Fc": 0.006, f"{name}.Fs": 0.0084, f"{name}.vs": 0.5}
+    has = f"{name}.vs" in program.index and name != "leuven"  # whose elements may stop short of the curve
+    servo = Native(program, {"J": J} | (stribeck if has else {}))
+    assert servo.values[program.index["true.vc_valid"]] == (name == "modified" or has)
+    if has:
+        gate = servo.values[program.index["true.vc"]]
+        assert 0.0024 * math.exp(-((gate / 0.5) ** 2)) == pytest.approx(0.05 * 0.006, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if "Fc" in EXPECTED[name]])
