@@ -19,6 +19,13 @@ STEP = 1e-3
 SERVO = {"J": 0.001, "b": 0.0065, "a2": 0.002}  # alpha2 = 2 1/s, b = 6.5 rad/(s2.V)
 LUGRE = {"lugre.sigma0": 0.8, "lugre.Fc": 0.004, "lugre.Fs": 0.0072, "lugre.vs": math.radians(25.0)}
 
+GMS = {
+    "gms.Fc": 0.004, "gms.Fs": 0.0072, "gms.vs": math.radians(25.0), "gms.C": 0.2,
+    **{f"gms.k{i}": k for i, k in enumerate((0.4, 0.25, 0.15, 0.08), start=1)},
+    **{f"gms.alpha{i}": share for i, share in enumerate((0.1, 0.2, 0.3, 0.4), start=1)},
+}  # fmt: skip
+CHANGE, AFTER = 60.0, 30.0  # s: when the normal load doubles, and how long the record goes on
+
 
 def modified(sigma0: float, sigma1: float, sigma2: float, c: float) -> dict[str, float]:
     """Return the parameters of a plant with the modified law."""
@@ -31,6 +38,7 @@ PLANTS = {
     "R": ("modified", SERVO | modified(800.0, 1067.0, 400.0, 200.0)),
     "L0": ("lugre", SERVO | LUGRE | {"lugre.sigma1": 0.0}),
     "L1": ("lugre", SERVO | LUGRE | {"lugre.sigma1": 0.02}),
+    "GMS": ("gms", SERVO | GMS),
 }
 TRUE = {
     "S": {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0},
@@ -40,7 +48,18 @@ TRUE = {
 
 @lru_cache(maxsize=200)
 def record(plant: str, order: int, seed: int, seconds: float) -> dict[str, NDArray[np.float64]]:
-    """Return u, y_theta, y_v and the encoder's position, one value a sample, of a run from rest."""
+    """Return u, y_theta, y_v and the encoder's position and velocity, one value a sample, of a run from rest."""
+    return _run(plant, order, seed, seconds)
+
+
+def changed(plant: str, order: int, seed: int) -> dict[str, NDArray[np.float64]]:
+    """Return the same of a run in which the normal load doubles after `CHANGE` seconds."""
+    return _run(plant, order, seed, CHANGE + AFTER, ((round(CHANGE / STEP), ("plant", "load_scale"), 2.0),))
+
+
+def _run(
+    plant: str, order: int, seed: int, seconds: float, events: tuple[tuple[int, tuple[str, str], float], ...] = ()
+) -> dict[str, NDArray[np.float64]]:
     law, parameters = PLANTS[plant]
     servo = Fmu(obtain("plant"))
     instances = (
@@ -48,11 +67,11 @@ def record(plant: str, order: int, seed: int, seconds: float) -> dict[str, NDArr
         Instance("controller", Fmu(obtain("controller")), {"seed": float(seed), "order": float(order)}),
     )
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
-    taps = (("controller", "u"), ("plant", "theta"), ("plant", "v"), ("plant", "theta_enc"))
-    trace = simulate(Bus(instances, round(seconds / STEP), STEP, links, record=taps))
+    taps = (("controller", "u"), *(("plant", name) for name in ("theta", "v", "theta_enc", "v_enc")))
+    trace = simulate(Bus(instances, round(seconds / STEP), STEP, links, events, record=taps))
     if trace.failure is not None:
         raise RuntimeError(trace.failure.message)
-    names = ("u", "y_theta", "y_v", "encoder")
+    names = ("u", "y_theta", "y_v", "encoder", "encoder_v")
     return {name: np.ascontiguousarray(trace.values[:, i]) for i, name in enumerate(names)}
 
 

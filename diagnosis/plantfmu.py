@@ -24,16 +24,13 @@ def fmu_model(path: Path) -> Model:
     BristleError
         If the FMU cannot be read or does not say enough.
     """
-    starts, outputs = _read(path)
+    starts, outputs, chosen = _read(path)
     for name in ("J", "a2", "b"):
         if name not in starts:
             raise BristleError(f"FMU {path}: no parameter '{name}' to scale by; {ADVICE}")
     if not {"theta", "v"} & outputs:
         raise BristleError(f"FMU {path}: no output 'theta' or 'v'; {ADVICE}")
-    known = laws()
-    law = next((name for name in known if any(start.startswith(f"{name}.") for start in starts)), "viscous")
-    if starts.get("law") is not None:  # all laws behind a selector, numbered from 1 in this order
-        law = list(known)[int(starts["law"]) - 1]
+    law = chosen or next((name for name in laws() if any(start.startswith(f"{name}.") for start in starts)), "viscous")
     found: dict[str, dict[str, float]] = {}
     for effect in effects():
         own = {name.removeprefix(f"{effect}."): x for name, x in starts.items() if name.startswith(f"{effect}.")}
@@ -49,8 +46,11 @@ def fmu_model(path: Path) -> Model:
     return Model.from_dict(tree, f"FMU {path}")
 
 
-def _read(path: Path) -> tuple[dict[str, float], set[str]]:
-    """Return the start values of the parameters and the names of the outputs."""
+def _read(path: Path) -> tuple[dict[str, float], set[str], str | None]:
+    """Return the start values of the parameters, the names of the outputs, and the law that is chosen where there are several.
+
+    The law goes by the name the FMU gives it: an FMU of another release may number the laws otherwise.
+    """
     from fmpy.model_description import read_model_description
 
     try:
@@ -59,4 +59,7 @@ def _read(path: Path) -> tuple[dict[str, float], set[str]]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise BristleError(f"FMU {path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
     parameters = [v for v in variables if v.causality == "parameter" and v.start is not None and v.type in KINDS]
-    return {v.name: float(v.start) for v in parameters}, {v.name for v in variables if v.causality == "output"}
+    selectors = [v for v in parameters if v.name == "law" and v.declaredType is not None]
+    chosen = [item.name for v in selectors for item in v.declaredType.items if int(item.value) == int(v.start)]
+    starts = {v.name: float(v.start) for v in parameters}
+    return starts, {v.name for v in variables if v.causality == "output"}, next(iter(chosen), None)

@@ -36,6 +36,7 @@ LOOPS, NEAR = 5.0, 30.0  # s and deg/s of the friction loops near rest
 WINDOW = 10.0  # s of signals that are shown
 SYMBOLS = {  # plain characters: setting mathematics would cost as much as a figure
     "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
+    "a0": "a₀", "a1": "a₁", "v0": "v₀",
 }  # fmt: skip
 NAMES = {
     "model": "observer's model",

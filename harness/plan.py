@@ -67,7 +67,7 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
     scenario = loaded.scenario
     parts: dict[str, Part | None] = {"observer": scenario.observer}
     if scenario.plant is not None:
-        parts = {"controller": scenario.controller, "plant": scenario.plant, **parts}
+        parts = {"controller": None if scenario.open_loop else scenario.controller, "plant": scenario.plant, **parts}
     found = {}
     for name, part in parts.items():
         if part is None:
@@ -178,7 +178,7 @@ def _events(setup: Setup) -> tuple[tuple[int, Port, float], ...]:
     """Return the stimuli as events: a value set at t is on the bus from the first step that starts at t or later."""
     events = []
     plant = setup.fmus["plant"]
-    allowed = [name for name in PORTS["plant"]["inputs"] if name != "u" and plant.has(name, "input")]
+    allowed = [name for name in PORTS["plant"]["inputs"] if plant.has(name, "input")]
     for i, stimulus in enumerate(setup.scenario.stimuli):
         name = stimulus.variable
         if name not in allowed:
@@ -194,7 +194,8 @@ def _events(setup: Setup) -> tuple[tuple[int, Port, float], ...]:
             if time <= before or time < 0:
                 raise setup.loaded.error(key, when, "times must increase from 0 s; sort the points")
             before = time
-            events.append((math.ceil(time / setup.h - 1e-6), ("plant", name), value))
+            step = math.ceil(time / setup.h - 1e-6)
+            events += [(step, (unit, name), value) for unit in (("plant", "observer") if name == "u" else ("plant",))]
     return tuple(sorted(events))
 
 
@@ -231,15 +232,15 @@ def identification(setup: Setup) -> Bus:
             series={("observer", name): values[:-1] for name, values in columns.items() if observer.has(name, "input")},
             record=setup.ports("observer"), flags=flags, watch=("observer",),
         )  # fmt: skip
-    links = _loop_links(setup)
-    links.append((("controller", "u"), ("observer", "u")))
+    driven = [] if setup.scenario.open_loop else ["controller"]
+    links = [*_loop_links(setup), (("controller", "u"), ("observer", "u"))] if driven else []
     for source, to in zip(setup.sensor, ("y_theta", "y_v"), strict=True):
         if observer.has(to, "input"):
             links.append((("plant", source), ("observer", to)))
     return Bus(
-        _instances(setup, ("controller", "plant", "observer")), setup.steps, setup.h,
+        _instances(setup, (*driven, "plant", "observer")), setup.steps, setup.h,
         links=tuple(links), events=_events(setup),
-        record=setup.ports("controller") + setup.ports("plant") + setup.ports("observer"),
+        record=tuple(port for unit in (*driven, "plant", "observer") for port in setup.ports(unit)),
         flags=_plant_flags(setup) + flags, watch=("observer",),
     )  # fmt: skip
 

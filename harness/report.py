@@ -10,7 +10,8 @@ from typing import Any
 from bristle.model.html import badge, figure, number, page, table, unit
 
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
-         "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ"}  # fmt: skip
+         "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ",
+         "a0": "a<sub>0</sub>", "a1": "a<sub>1</sub>", "v0": "v<sub>0</sub>"}  # fmt: skip
 CAPTIONS = {
     "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band. "
                   "Dotted green: the last time the error leaves the band. Above each: final error and that time. "

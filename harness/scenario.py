@@ -56,7 +56,7 @@ class Observer(Part):
 
 
 class Stimulus(Section):
-    """A plant input held constant between points in time."""
+    """A plant input held constant between points in time; one of u takes the place of the controller."""
 
     variable: str
     points: list[tuple[Given, Given]] = Field(min_length=1)
@@ -143,6 +143,8 @@ class Scenario(Section):
             raise ValueError("give either [plant] or [record]" + (", not both" if self.plant else ""))
         if self.record and (self.stimuli or self.validation or "controller" in self.model_fields_set):
             raise ValueError("[record] replaces plant and controller; remove [controller], [[stimuli]] and [validation]")
+        if self.open_loop and (self.validation or "controller" in self.model_fields_set):
+            raise ValueError("a stimulus of u replaces the controller; remove [controller] and [validation]")
         if self.plant and self.duration is None:
             raise ValueError('duration is missing; write for example duration = "20 s"')
         for key, part, choice in (("plant", self.plant, "law"), ("observer", self.observer, "method")):
@@ -157,6 +159,11 @@ class Scenario(Section):
     def steps(self) -> int:
         """Number of communication steps."""
         return round((self.duration or 0.0) / self.step)
+
+    @property
+    def open_loop(self) -> bool:
+        """Whether a stimulus drives the plant, in the place of the controller."""
+        return any(stimulus.variable == "u" for stimulus in self.stimuli)
 
 
 def _steps(key: str, duration: float, step: float) -> None:

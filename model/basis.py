@@ -17,8 +17,18 @@ def gaussian(v: SX, count: int = BASIS_COUNT) -> list[SX]:
     The paper prints v without the bars in the second function; the Stribeck curve is even, so they are meant.
     Source: dixit2008 eq. (24), with beta2 for the second beta1 and |v| for v.
     """
-    shapes = [(20.0 * i * DEGREE, (10.0 if i == 0 else 20.0) * DEGREE) for i in range(count)]
-    return [ca.exp(-(((ca.fabs(v) - centre) / width) ** 2)) for centre, width in shapes]
+    return [ca.exp(-(((ca.fabs(v) - centre) / width) ** 2)) for centre, width in _shapes(count)]
+
+
+def _shapes(count: int) -> list[tuple[float, float]]:
+    """Return centre and width of each function [rad/s]."""
+    return [(20.0 * i * DEGREE, (10.0 if i == 0 else 20.0) * DEGREE) for i in range(count)]
+
+
+def gaussian_end(share: SX, count: int = BASIS_COUNT) -> SX:
+    """Return the speed [rad/s] above which the last function, the widest, stays below this share of its peak (at most 1)."""
+    centre, width = _shapes(count)[-1]
+    return SX(centre + width * ca.sqrt(-ca.log(ca.fmin(share, 1))))
 
 
 def polynomial(v: SX, count: int = BASIS_COUNT) -> list[SX]:

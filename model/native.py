@@ -47,7 +47,7 @@ class Native:
     program : Program
         What to simulate.
     variant : str, optional
-        Name of the system; the first one by default.
+        Name of the system; by default the one that the program chooses.
     parameters : mapping of str to float
         Values of parameters and start values of inputs, SI; checked against their intervals.
     """
@@ -58,7 +58,7 @@ class Native:
         names = [a.system.name for a in program.variants]
         if variant is not None and variant not in names:
             raise BristleError(f"'{variant}' is no variant of {program.name}; known: {', '.join(names)}")
-        self.variant = program.variants[names.index(variant) if variant else 0]
+        self.variant = program.variants[names.index(variant) if variant else program.chosen]
         self._v = np.array(program.starts)
         if program.selector:
             self._v[program.index[program.selector]] = names.index(self.variant.system.name) + 1

@@ -11,6 +11,10 @@ NORMALISED = {  # name: (unit, meaning)
     "sigma2": ("1/s2", "weight of basis function 2"),
     "c": ("1/rad", "inverse presliding distance"),
     "tau": ("s", "bristle damping over stiffness"),
+    "vc": ("rad/s", "speed above which friction is Coulomb and viscous"),
+    "a0": ("rad", "presliding distance at high speed"),
+    "a1": ("rad", "what is added to it at rest"),
+    "v0": ("rad/s", "Stribeck velocity"),
 }
 
 

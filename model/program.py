@@ -17,6 +17,7 @@ import casadi as ca
 from bristle.model.errors import BristleError
 from bristle.model.proximal import Unknown, proximal
 from bristle.model.rosenbrock import rodas
+from bristle.model.switching import at_the_point
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
 from bristle.model.units import per_second
 from bristle.model.variables import Parameter, Variable
@@ -94,6 +95,8 @@ class Program:
         The variants; inputs and outputs must agree.
     selector : str, optional
         Name of the parameter that chooses the variant; needed for more than one.
+    chosen : str, optional
+        Name of the variant that is chosen where nothing else is said; the first one by default.
     sensitivities : sequence of str, optional
         Parameters for which the derivative of the internal step is generated too.
     observed : str, optional
@@ -108,12 +111,14 @@ class Program:
         description: str = "",
         sensitivities: Sequence[str] = (),
         observed: str | None = None,
+        chosen: str | None = None,
     ) -> None:
         if len(systems) > 1 and selector is None:
             raise BristleError(f"program '{name}' has {len(systems)} variants and needs a selector name")
         self.name, self.description = name, description or systems[0].description
         self.selector = selector if len(systems) > 1 else None
         self.sensitivities, self.observed = tuple(sensitivities), observed
+        self.chosen = [system.name for system in systems].index(chosen) if chosen else 0
         self.slots: list[Slot] = []
         self.index: dict[str, int] = {}
         self._layout(systems)
@@ -133,7 +138,7 @@ class Program:
     def _layout(self, systems: Sequence[System]) -> None:
         self._add("time", "time", Variable("time", "s", "simulation time"))
         if self.selector:
-            self._add(self.selector, "selector", Variable(self.selector, "1", "variant"), 1.0)
+            self._add(self.selector, "selector", Variable(self.selector, "1", "variant"), self.chosen + 1.0)
         for system in systems:
             for parameter in system.parameters.values():
                 self._add(parameter.name, "parameter", parameter, parameter.default)
@@ -223,7 +228,8 @@ class Program:
                 step = ca.vertcat(*rodas(system, h))
             add("step", [(_solved(step, unknowns), range(n + 1))], to_output=True)
             if self.sensitivities:
-                slopes = self._derivative(system, step[:n], unknowns)[0]  # the step itself beside: both share most of their work
+                # the step itself beside: both share most of their work
+                slopes = self._derivative(system, at_the_point(system, step[:n], h), unknowns)[0]
                 both = ca.vertcat(slopes, _solved(step[:n], unknowns))
                 add("step_jacobian", [(both, range(both.numel()))], to_output=True)
             if self.sensitivities and self.observed:

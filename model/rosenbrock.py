@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.linear import Elimination
+from bristle.model.switching import passed
 from bristle.model.system import System
 
 SX = ca.SX
@@ -57,4 +58,7 @@ def rodas(system: System, h: SX) -> tuple[SX, SX]:
     norm = size[0]
     for i in range(1, x.shape[0]):
         norm = ca.fmax(norm, size[i])
-    return point + stages[-1], norm / system.symbols["solver.tolerance"]
+    end = point + stages[-1]
+    for late in passed(system, end, h):
+        norm = ca.fmax(norm, late)
+    return end, norm / system.symbols["solver.tolerance"]

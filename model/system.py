@@ -71,6 +71,7 @@ class System:
     after: dict[str, State] = field(default_factory=dict)
     modes: dict[str, State] = field(default_factory=dict)
     updates: dict[str, SX] = field(default_factory=dict)
+    margins: dict[str, SX] = field(default_factory=dict)
     dry: DryRow | None = None
     symbols: dict[str, SX] = field(default_factory=dict)
     time: SX = field(default_factory=lambda: SX.sym("time"))
@@ -133,6 +134,13 @@ class System:
         """Set the next value of a sampled state or a mode."""
         self.updates[name] = SX(expression)
 
+    def margin(self, name: str, past: SX) -> None:
+        """Say how far past the point where a mode switches the system is, relative to its size; at most 0 before it.
+
+        No internal step then goes farther past it than the tolerance allows an error, and derivatives carry over it.
+        """
+        self.margins[name] = SX(past)
+
     def output(self, variable: Variable, expression: SX) -> None:
         """Declare an output and its equation."""
         self.outputs[variable.name] = (variable, SX(expression))
@@ -187,6 +195,9 @@ class System:
         for what, declared, given in (("rate", self.states, self.rates), ("update", sampled, self.updates)):
             for name in declared.keys() ^ given.keys():
                 raise BristleError(f"system '{self.name}': '{name}' needs both a state and a {what}; add the missing one")
+        for name in self.margins:
+            if name not in self.modes or self.dry is not None:
+                raise BristleError(f"system '{self.name}': '{name}' has a margin; only a mode may, and only without dry friction")
         if self.dry is not None and self.dry.row not in self.states:
             raise BristleError(f"system '{self.name}': dry friction acts on '{self.dry.row}', which is not a state")
         return self

@@ -29,7 +29,8 @@ def observer_program(method: str | None = None) -> Program:
     known = methods()
     if method is None:
         systems = [observer(each) for each in known.values()]
-        return Program("AdaptiveObserver", systems, "method", "adaptive observer, chosen by the parameter method")
+        about = "adaptive observer, chosen by the parameter method"
+        return Program("AdaptiveObserver", systems, "method", about, chosen="bastin_gevers")
     if method not in known:
         raise BristleError(f"unknown observer '{method}'; known: {', '.join(known)}")
     return Program(f"AdaptiveObserver_{method}", [observer(known[method])])

@@ -30,19 +30,34 @@ REPAIRED = Settings(vc=85.0, c1=100.0, gamma=(400.0, 400.0, 800.0))
 PRINTED = Settings(vc=50.0, c1=100.0, gamma=(1e-3, 1e-3, 1e-4))
 
 
+def gate_parameter(prefix: str, vc: float = REPAIRED.vc) -> Parameter:
+    """Declare the gate in rad/s, for vc in deg/s."""
+    return Parameter(f"{prefix}.vc", "vc", "rad/s", vc * DEGREE, 0.0, 1e3, "speed above which step 1 adapts", EQUATION)
+
+
+def gamma_parameters(prefix: str, gains: tuple[float, float, float], source: str = EQUATION) -> tuple[Parameter, ...]:
+    """Declare the diagonal of Gamma for (alpha2, b, Fc)."""
+    return tuple(
+        Parameter(f"{prefix}.gamma{i}", f"Gamma{i}", "1", gain, 0.0, 1e9, f"adaptation gain of {name}", source)
+        for i, (name, gain) in enumerate(zip(NAMES, gains, strict=True), start=1)
+    )
+
+
+def start_parameters(prefix: str, source: str = EQUATION) -> tuple[Parameter, ...]:
+    """Declare the starts of the estimates."""
+    return tuple(
+        Parameter(f"{prefix}.{name}_start", name, unit, 0.0, -1e6, 1e6, f"start of the estimate of {name}", source)
+        for name, unit in NAMES.items()
+    )
+
+
 def parameters(prefix: str, settings: Settings) -> tuple[Parameter, ...]:
     """Declare gate, gains and starts under a method's name."""
     return (
-        Parameter(f"{prefix}.vc", "vc", "rad/s", settings.vc * DEGREE, 0.0, 1e3, "speed above which step 1 adapts", EQUATION),
+        gate_parameter(prefix, settings.vc),
         Parameter(f"{prefix}.c1", "c1", "1/s", settings.c1, 1e-3, 1e6, "output-error gain", EQUATION),
-        *(
-            Parameter(f"{prefix}.gamma{i}", f"Gamma{i}", "1", gain, 0.0, 1e9, f"adaptation gain of {name}", EQUATION)
-            for i, (name, gain) in enumerate(zip(NAMES, settings.gamma, strict=True), start=1)
-        ),
-        *(
-            Parameter(f"{prefix}.{name}_start", name, unit, 0.0, -1e6, 1e6, f"start of the estimate of {name}", EQUATION)
-            for name, unit in NAMES.items()
-        ),
+        *gamma_parameters(prefix, settings.gamma),
+        *start_parameters(prefix),
     )
 
 
@@ -59,26 +74,40 @@ def states(velocity_unit: float = 1.0, input_unit: float = 1.0) -> tuple[State, 
     )
 
 
+def fast(s: Sample, vc: SX) -> SX:
+    """Return 1 where the speed is above vc, in one direction, over the whole sample."""
+    return SX(ca.logic_and(ca.fmin(ca.fabs(s.y0), ca.fabs(s.y1)) > vc, s.y0 * s.y1 > 0))
+
+
+def regressor(s: Sample) -> SX:
+    """Return phi = [-v, u, -sgn v] as the mean over a sample in which v keeps its sign.
+
+    Source: dixit2008 eq. (23).
+    """
+    return ca.vertcat(-(s.y0 + s.y1) / 2, s.u, -ca.sign(s.y0))
+
+
 def adapt(p: Namespace, s: Sample, vc: SX) -> dict[str, SX]:
     """Advance x^ and theta^ over one sample: x' = phi theta, phi = [-v, u, -sgn v], while |v| > vc.
 
     Held over a sample: phi takes the mean of the two velocities (an Euler step on y_(k-1) biases b by c1 Ts/2), the
-    output injection c1 decays exactly, and the gradient is taken at the error after the step, which keeps any gain
-    stable. At gate entry x^ is set to the measured velocity.
+    gradient is taken at the error that the new theta^ leaves, and of that error exp(-c1 Ts) remains: with theta~ for the
+    error of theta^, theta~' Gamma^-1 theta~ plus the square of the error never grows, whatever the gain. At gate entry x^ is
+    set to the measured velocity.
 
     Source: bastin1988 eq. (3); dixit2008 eq. (3) with n = 1, R = 0 and section IV-E.
     """
     theta = ca.vertcat(p.step1_alpha2, p.step1_b, p.step1_Fc)
     gamma = ca.vertcat(p.gamma1, p.gamma2, p.gamma3)
-    gate = ca.logic_and(ca.fmin(ca.fabs(s.y0), ca.fabs(s.y1)) > vc, s.y0 * s.y1 > 0)
+    gate = fast(s, vc)
     x = ca.if_else(p.step1_gate > 0, p.step1_v, s.y0)
-    phi = ca.vertcat(-(s.y0 + s.y1) / 2, s.u, -ca.sign(s.y0))
+    phi = regressor(s)
     predicted = x + s.period * ca.dot(phi, theta)
     error = (s.y1 - predicted) / (1 + s.period**2 * ca.dot(phi, gamma * phi))
     theta_new = ca.if_else(gate, theta + s.period * gamma * phi * error, theta)
-    x_new = ca.if_else(gate, predicted + (1 - ca.exp(-p.c1 * s.period)) * error, s.y1)
+    x_new = ca.if_else(gate, s.y1 - ca.exp(-p.c1 * s.period) * error, s.y1)
     names = [f"step1_{name}" for name in NAMES]
-    return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {"step1_v": x_new, "step1_gate": SX(gate)}
+    return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {"step1_v": x_new, "step1_gate": gate}
 
 
 def _equations(shop: Workshop, s: Sample) -> Update:

@@ -33,11 +33,8 @@ def predict(
     psi0, psi1 = zhang.regressor(s.y0, x[1], unit), zhang.regressor(s.y1, SX(0), unit)
     f0 = ca.vertcat(-alpha2 * s.y0 + b * s.u, psi0 @ theta) + f.k * s.y0
     f1 = ca.vertcat(-alpha2 * s.y1 + b * s.u, psi1 @ theta) + f.k * s.y1
-    free = f.phi @ x + f.m0 @ f0 + f.m1 @ f1
-    rate = ca.fabs(s.y1) * theta[3]
-    x2 = free[1] / (1 + f.m1[1, 1] * rate)
-    x_new = ca.vertcat(free[0] - f.m1[0, 1] * rate * x2, x2)
-    psi1 = zhang.regressor(s.y1, x2, unit)
+    x_new = zhang.ahead(f, x, f0, f1, ca.fabs(s.y1) * theta[3])
+    psi1 = zhang.regressor(s.y1, x_new[1], unit)
     return x_new, f.phi @ ups + f.m0[:, 1] @ psi0 + f.m1[:, 1] @ psi1
 
 

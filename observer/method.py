@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -90,6 +90,32 @@ def unstack(name: str, values: SX) -> dict[str, SX]:
     """Return the entries of a matrix as states name0, name1, ..., row by row."""
     flat = ca.vec(values.T) if values.shape[1] > 1 else values
     return {f"{name}{i}": flat[i] for i in range(flat.numel())}
+
+
+def _triangle(order: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(order) for j in range(i + 1)]
+
+
+def symmetric_states(name: str, unit: str, description: str, order: int, diagonal: Sequence[float] = ()) -> tuple[State, ...]:
+    """Return the states of a symmetric matrix, its lower triangle row by row; read it back with `stack_symmetric`.
+
+    It starts as a diagonal matrix, from zero where no diagonal is given.
+    """
+    starts = [diagonal[i] if diagonal and i == j else 0.0 for i, j in _triangle(order)]
+    return tuple(State(f"{name}{n}", unit, f"{description} ({n})", initial=start) for n, start in enumerate(starts))
+
+
+def stack_symmetric(p: Namespace, name: str, order: int) -> SX:
+    """Return the states name0, name1, ... as the symmetric matrix whose lower triangle they are."""
+    matrix = SX(order, order)
+    for n, (i, j) in enumerate(_triangle(order)):
+        matrix[i, j] = matrix[j, i] = p[f"{name}{n}"]
+    return matrix
+
+
+def unstack_symmetric(name: str, matrix: SX) -> dict[str, SX]:
+    """Return the lower triangle of a symmetric matrix as states name0, name1, ..., row by row."""
+    return {f"{name}{n}": matrix[i, j] for n, (i, j) in enumerate(_triangle(matrix.shape[0]))}
 
 
 def observer(method: Method) -> System:

@@ -65,6 +65,13 @@ def make_filter(shop: Workshop, k0: SX, lam: SX, period: SX) -> Filter:
     )
 
 
+def ahead(f: Filter, x: SX, f0: SX, f1: SX, rate: SX) -> SX:
+    """Advance two states driven from f0 to f1 - [0, rate x2], whose x2 at the end is linear in itself and solved for."""
+    free = f.phi @ x + f.m0 @ f0 + f.m1 @ f1
+    x2 = free[1] / (1 + f.m1[1, 1] * rate)
+    return ca.vertcat(free[0] - f.m1[0, 1] * rate * x2, x2)
+
+
 def regressor(v: SX, x2: SX, unit: float = 1.0) -> SX:
     """psi of step 2 as a row, -[v, phi1 v, phi2 v, |v| x2], for v in `unit` rad/s.
 
@@ -88,12 +95,19 @@ def gradient(ups: SX, theta: SX, error: SX, gain: SX, period: SX, *, low: bool) 
     return ca.fmax(new, ca.vertcat(*LOWEST)) if low else new
 
 
+def estimate_states(prefix: str) -> tuple[State, ...]:
+    """Declare the estimates with their starts."""
+    return tuple(
+        State(f"{prefix}_{n}", unit, f"estimate of {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in NAMES.items()
+    )
+
+
 def states(order: int) -> tuple[State, ...]:
     """Declare x^, Ups, theta^ and its published average."""
     return (
         *vector_states("x", "1", "state estimate", order),
         *vector_states("upsilon", "1", "filtered regressor", 4 * order),
-        *(State(f"raw_{n}", unit, f"estimate of {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in NAMES.items()),
+        *estimate_states("raw"),
         *(State(f"mean_{n}", unit, f"averaged {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in NAMES.items()),
     )
 
@@ -137,30 +151,44 @@ def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tupl
             for i, k in enumerate(k0, start=1)
         ),
         Parameter(f"{prefix}.lam", "lambda", "1/s", lam, 1e-3, 1e4, "filter bandwidth", EQUATION),
-        *(
-            Parameter(f"{prefix}.{name}_start", name, unit, start, -1e9, 1e9, f"start of the estimate of {name}", EQUATION)
-            for (name, unit), start in zip(NAMES.items(), starts, strict=True)
-        ),
+        *start_parameters(prefix, starts),
     )
 
 
+def start_parameters(prefix: str, starts: tuple[float, ...], source: str = EQUATION) -> tuple[Parameter, ...]:
+    """Declare the starts of the estimates."""
+    return tuple(
+        Parameter(f"{prefix}.{name}_start", name, unit, start, -1e9, 1e9, f"start of the estimate of {name}", source)
+        for (name, unit), start in zip(NAMES.items(), starts, strict=True)
+    )
+
+
+def scale_parameters(prefix: str, source: str = "zhang2002") -> tuple[Parameter, ...]:
+    """Declare the sizes expected of the parameters: round numbers that belong to no plant."""
+    return tuple(
+        Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", source)
+        for (n, unit), s in zip(NAMES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
+    )
+
+
+def scales(p: Namespace) -> SX:
+    """Return the sizes expected of the parameters."""
+    return ca.vertcat(*(p[f"{name}_scale"] for name in NAMES))
+
+
 def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -> tuple[Parameter, ...]:
-    """Declare the matrix gain: S = gain diag(scale)^2, with round scales that belong to no plant; and the averaging."""
-    scales = zip(NAMES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
+    """Declare the matrix gain, S = gain diag(scale)^2, and the averaging."""
     average = "time constant of the published average"
     return (
         Parameter(f"{prefix}.gain", "g", "1", gain, 0.0, 1e15, "overall adaptation gain", "zhang2002"),
-        *(
-            Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", "zhang2002")
-            for (n, unit), s in scales
-        ),
+        *scale_parameters(prefix),
         Parameter(f"{prefix}.averaging", "T_a", "s", averaging, 0.0, 1e6, average, "polyak1992"),
     )
 
 
 def matrix_gain(p: Namespace) -> SX:
     """Return the diagonal of S."""
-    return SX(p.gain * ca.vertcat(*(p[f"{name}_scale"] ** 2 for name in NAMES)))
+    return SX(p.gain * scales(p) ** 2)
 
 
 def averaging_weight(p: Namespace, period: SX) -> SX:

@@ -10,6 +10,7 @@ import casadi as ca
 from bristle.model.variables import Namespace, Parameter, State
 
 SX = ca.SX
+NEGLIGIBLE = 0.05  # of Coulomb friction: what is left of the Stribeck effect where step 1 may look
 
 
 @dataclass(frozen=True)
@@ -18,18 +19,25 @@ class Friction:
 
     `force` [N.m] opposes the motion and comes on top of the viscous a2 v; `rates` are the law's own states'; `bound`
     [N.m], where given, is set-valued dry friction in addition; `true` gives the normalised parameters that an observer
-    can be compared with (only those the law has: alpha2 and b are the servo's).
+    can be compared with (only those the law has: alpha2 and b are the servo's). `switches` gives for each mode of the law
+    its next value, and how far past its switching point it is (as of `System.margin`).
+
+    All is at nominal load. The servo multiplies the forces by the load and leaves the states as they are: stiffness,
+    damping and levels grow in proportion to the load, deflections and the distances over which they relax do not change.
+
+    Source: canudas1999 (friction of bristles per unit of normal load).
     """
 
     force: SX
     rates: dict[str, SX] = field(default_factory=dict)
     bound: SX | None = None
     true: dict[str, SX] = field(default_factory=dict)
+    switches: dict[str, tuple[SX, SX]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """A law by name; `equations(p, v)` sees its own parameters and states as p.sigma0, and the servo's as p.J."""
+    """A law by name; `equations(p, v)` sees its own parameters, states and modes as p.sigma0, and the servo's as p.J."""
 
     name: str
     description: str
@@ -37,3 +45,35 @@ class FrictionLaw:
     equations: Callable[[Namespace, SX], Friction]
     parameters: tuple[Parameter, ...] = ()
     states: tuple[State, ...] = ()
+    modes: tuple[State, ...] = ()
+
+
+def stribeck_curve(p: Namespace, v: SX) -> SX:
+    """Return the friction level [N.m] that falls from Fs at rest to Fc: Fc + (Fs - Fc) exp(-(v/vs)^2).
+
+    Source: armstrong1994 (Stribeck curve, Gaussian form).
+    """
+    return SX(p.Fc + (p.Fs - p.Fc) * ca.exp(-((v / p.vs) ** 2)))
+
+
+def stribeck_truth(p: Namespace, stiffness: SX | None = None) -> dict[str, SX]:
+    """Return the true normalised parameters of the curve; with a stiffness also its levels as deflections.
+
+    Source: dixit2008 eq. (10), where a0 and a1 are displacements.
+    """
+    levels = {} if stiffness is None else {"a0": p.Fc / stiffness, "a1": (p.Fs - p.Fc) / stiffness}
+    return {"Fc": p.Fc / p.J, "v0": p.vs, "vc": stribeck_end(p), **levels}
+
+
+def stribeck_end(p: Namespace) -> SX:
+    """Return the speed above which the curve exceeds Fc by less than `NEGLIGIBLE` of it."""
+    return SX(p.vs * ca.sqrt(ca.log(ca.fmax((p.Fs - p.Fc) / (NEGLIGIBLE * p.Fc), 1))))
+
+
+def stribeck_parameters(law: str, source: str) -> tuple[Parameter, ...]:
+    """Return the parameters of the curve as a law has them."""
+    return (
+        Parameter(f"{law}.Fc", "Fc", "N.m", 0.004, 1e-9, 1e6, "Coulomb friction", source),
+        Parameter(f"{law}.Fs", "Fs", "N.m", 0.0072, 1e-9, 1e6, "static friction", source),
+        Parameter(f"{law}.vs", "vs", "rad/s", 0.4363323129985824, 1e-6, 1e3, "Stribeck velocity", source),
+    )

@@ -53,6 +53,8 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
     p = system.namespace(f"{law.name}.")
     for state in law.states:
         system.state(replace(state, scale=state.scale(p) if callable(state.scale) else state.scale))
+    for mode in law.modes:
+        system.mode(mode)
     for effect in ordered:
         for state in effect.states:
             system.state(replace(state, name=f"{effect.name}.{state.name}"))
@@ -70,6 +72,9 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
     system.rate("v", (torque - smooth) / inertia)
     for name, rate in friction.rates.items():
         system.rate(name, rate)
+    for name, (following, past) in friction.switches.items():
+        system.update(name, following)
+        system.margin(name, past)
     force = smooth
     if bound is not None and bristles is not None:
         force = smooth + _bristles(system, inertia, bound, backward, *bristles)

@@ -5,18 +5,26 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.law import Friction, FrictionLaw
+from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_truth
 
 
-def equations(p: Namespace, v: ca.SX) -> Friction:
+def bristles(p: Namespace, v: ca.SX, sigma1: ca.SX) -> Friction:
     """F = sigma0 z + sigma1 z' + a2 v, z' = v - |v| z / s(v), s = [Fc + (Fs - Fc) exp(-(v/vs)^2)] / sigma0.
 
     With Fc = sigma0 a0 and Fs = sigma0 (a0 + a1) this is the paper's s(v).
     Source: dixit2008 eq. (8)-(10).
     """
-    s = (p.Fc + (p.Fs - p.Fc) * ca.exp(-((v / p.vs) ** 2))) / p.sigma0
+    s = stribeck_curve(p, v) / p.sigma0
     dz = v - ca.fabs(v) * p.z / s
-    return Friction(force=p.sigma0 * p.z + p.sigma1 * dz, rates={"z": dz}, true={"Fc": p.Fc / p.J})
+    return Friction(force=p.sigma0 * p.z + sigma1 * dz, rates={"z": dz}, true=stribeck_truth(p, p.sigma0))
+
+
+def equations(p: Namespace, v: ca.SX) -> Friction:
+    """The bristles with a constant sigma1.
+
+    Source: dixit2008 eq. (8)-(10).
+    """
+    return bristles(p, v, p.sigma1)
 
 
 LAW = FrictionLaw(

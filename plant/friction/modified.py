@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from bristle.model.basis import BASIS_COUNT, gaussian
+from bristle.model.basis import BASIS_COUNT, gaussian, gaussian_end
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.law import Friction, FrictionLaw
+from bristle.plant.law import NEGLIGIBLE, Friction, FrictionLaw
 
 SX = ca.SX
 
@@ -32,6 +32,8 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
         true = {f"sigma{i}": p[f"sigma{i}"] for i in range(count + 1)} | {"c": p.c, "tau": p.tau}
         if family == "gaussian":  # the functions vanish at high speed, so that Coulomb friction is sigma0/c
             true["Fc"] = p.sigma0 / p.c
+            last = ca.fmax(ca.fabs(p[f"sigma{count}"]), 1e-12 * p.sigma0)
+            true["vc"] = gaussian_end(NEGLIGIBLE * p.sigma0 / last, count)
         else:  # sigma_i of another basis are other quantities than an observer's estimates
             true = {"c": p.c, "tau": p.tau, "sigma0": p.sigma0}
         return Friction(force=p.J * (p.w + p.tau * dw), rates={"w": dw}, true=true)

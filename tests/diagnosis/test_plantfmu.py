@@ -9,6 +9,7 @@ import pytest
 from bristle.diagnosis import fmu_model
 from bristle.fmus import obtain
 from bristle.model.errors import BristleError
+from bristle.plant.friction import laws
 
 
 def test_an_augmented_plant_is_the_model_it_was_made_from():
@@ -29,6 +30,18 @@ def test_of_all_laws_it_is_the_one_selected_at_the_start():
     model = fmu_model(obtain("plant"))
     assert model.friction == "coulomb"
     assert set(model.parameters) == {"J", "a2", "b", "coulomb.Fc"}
+
+
+def test_a_selector_is_read_by_the_names_the_fmu_gives_its_laws(tmp_path):
+    """Another release numbers them otherwise."""
+    renumbered = tmp_path / "renumbered.fmu"
+    with zipfile.ZipFile(obtain("plant")) as old, zipfile.ZipFile(renumbered, "w") as new:
+        text = old.read("modelDescription.xml").decode()
+        for name, before, after in (("coulomb", 1, 99), ("viscous", len(laws()), 1)):
+            assert f'name="{name}" value="{before}"' in text
+            text = text.replace(f'name="{name}" value="{before}"', f'name="{name}" value="{after}"')
+        new.writestr("modelDescription.xml", text)
+    assert fmu_model(renumbered).friction == "viscous"
 
 
 def test_what_says_too_little_is_refused_in_one_line(tmp_path):

@@ -12,7 +12,9 @@ from bristle.fmus.interface import Interface
 from bristle.model.python import casadi_tables
 from bristle.model.runtime import Core
 
-SMOOTH = ("lugre", "modified", "modified_polynomial", "viscous")
+SMOOTH = (
+    "dahl", "elastoplastic", "lugre", "lugre_velocity_damping", "modified", "modified_parallel", "modified_polynomial", "viscous",
+)  # fmt: skip
 
 
 def rates(raw, handle, n):
@@ -53,7 +55,8 @@ def lean(request, built, Raw):
 def point(interface):
     """A point in the thick of friction: moving, bristles bent."""
     states = [state.name for _, state in interface.rates]
-    return dict(zip(states, [0.3, 0.25, 2.0 if states[-1].endswith("w") else 0.002][: len(states)], strict=True))
+    bent = [2.0 if ".w" in state else 0.002 for state in states[2:]]  # a friction acceleration, or a deflection
+    return dict(zip(states, [0.3, 0.25, *bent], strict=True))
 
 
 def exact_jacobian(interface, x, inputs):

@@ -18,7 +18,9 @@ from bristle.model.variables import Parameter
 from bristle.observer import methods
 from bristle.plant.friction import laws
 
-SMOOTH = ("lugre", "modified", "modified_polynomial", "viscous")
+SMOOTH = (
+    "dahl", "elastoplastic", "lugre", "lugre_velocity_damping", "modified", "modified_parallel", "modified_polynomial", "viscous",
+)  # fmt: skip
 ALL = [
     *(("plant", {"law": law, "fmi": fmi}) for law in laws() for fmi in (2, 3)),
     *((what, {"fmi": fmi}) for what in ("plant", "controller", "observer") for fmi in (2, 3)),
@@ -88,11 +90,12 @@ def test_variables_are_those_of_the_program(built, case):
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_selector_is_an_enumeration_of_the_variants(built, fmi):
-    for what, name, expected in (("plant", "law", list(laws())), ("observer", "method", list(methods()))):
+    cases = (("plant", "law", list(laws()), "coulomb"), ("observer", "method", list(methods()), "bastin_gevers"))
+    for what, name, expected, chosen in cases:
         [v] = [v for v in built(what, fmi=fmi).description.modelVariables if v.name == name]
         assert v.type == "Enumeration"
         assert [(item.name, int(item.value)) for item in v.declaredType.items] == [(n, k) for k, n in enumerate(expected, start=1)]
-        assert (int(v.start), int(v.min), int(v.max)) == (1, 1, len(expected))
+        assert (int(v.start), int(v.min), int(v.max)) == (expected.index(chosen) + 1, 1, len(expected))
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

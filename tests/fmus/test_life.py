@@ -164,7 +164,7 @@ def test_a_state_keeps_mode_and_parameters(built, Raw):
 # -- steps ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", ["lugre", "modified", "viscous", "coulomb"])
+@pytest.mark.parametrize("law", ["lugre", "elastoplastic", "gms", "leuven", "modified", "viscous", "coulomb"])
 def test_splitting_a_step_changes_little(built, Raw, law):
     """One step of 8 ms, two of 4 ms, eight of 1 ms: the same motion within the integrator's tolerance."""
     raw = Raw(built("plant", law=law).info)

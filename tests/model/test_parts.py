@@ -79,8 +79,8 @@ def test_a_name_cannot_be_declared_twice():
 def test_unknown_parameters_and_variants_are_refused():
     with pytest.raises(BristleError, match="'Fc' is no parameter of ServoPlant_lugre"):
         Native(servo_program("lugre"), {"Fc": 1.0})
-    with pytest.raises(BristleError, match="'dahl' is no variant of ServoPlant; known: coulomb"):
-        Native(servo_program(), variant="dahl")
+    with pytest.raises(BristleError, match="'tanh' is no variant of ServoPlant; known: coulomb"):
+        Native(servo_program(), variant="tanh")
 
 
 def test_the_token_follows_the_interface():

@@ -42,7 +42,7 @@ SETTING = {"hard_stop.upper": 0.05, "disturbance_step.onset": 0.1, "backlash.pla
 SCALING = {"asymmetric_coulomb", "stribeck", "friction_drift", "position_friction"}
 BRISTLES = {"presliding", "bristle_damping"}
 REFUSED = {(name, "viscous") for name in SCALING | BRISTLES} | {("load_friction", "modified_polynomial")}
-REFUSED |= {(name, other) for name in BRISTLES for other in ("lugre", "modified", "modified_polynomial")}
+REFUSED |= {(name, other.name) for name in BRISTLES for other in laws().values() if other.states}
 
 
 def strength(name):

@@ -2,9 +2,11 @@
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from bristle.model.basis import gaussian
 from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.plant.friction import law, laws
@@ -12,7 +14,10 @@ from bristle.plant.servo import NORMALISED, servo_program
 
 H = 1e-3
 GRID = 2 * math.pi / 40000
-SHIPPED = ("coulomb", "lugre", "modified", "modified_polynomial", "viscous")
+SHIPPED = (
+    "coulomb", "dahl", "elastoplastic", "gms", "leuven", "lugre", "lugre_velocity_damping", "modified", "modified_polynomial",
+    "stribeck_static", "viscous",
+)  # fmt: skip
 
 
 def test_every_file_in_friction_is_a_law():
@@ -22,7 +27,7 @@ def test_every_file_in_friction_is_a_law():
 
 
 def test_an_unknown_law_is_refused_in_one_line():
-    with pytest.raises(BristleError, match="unknown friction law 'dahlia'; known: coulomb, lugre") as caught:
+    with pytest.raises(BristleError, match="unknown friction law 'dahlia'; known: coulomb, dahl, elastoplastic") as caught:
         servo_program("dahlia")
     assert "\n" not in str(caught.value)
 
@@ -52,7 +57,9 @@ def test_load_torque_acts_like_drive_torque_but_is_not_cut(name):
     assert loaded[-1, 0] > 1.5 * driven[-1, 0]
 
 
-@pytest.mark.parametrize(("name", "dry"), [("coulomb", 0.004), ("lugre", 0.004), ("modified", 0.004), ("viscous", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "dry"), [(name, 0.0 if name == "viscous" else 0.004) for name in SHIPPED if name != "modified_polynomial"]
+)
 def test_load_scale_scales_dry_friction_and_nothing_else(name, dry):
     program, n = servo_program(name), 6000
     speeds = {}
@@ -137,13 +144,25 @@ OWN = {
     "modified_polynomial": {"modified_polynomial.sigma0": 500.0, "modified_polynomial.c": 125.0},
     "lugre": {"lugre.Fc": 0.006, "lugre.Fs": 0.01},
     "coulomb": {"coulomb.Fc": 0.006},
+    "dahl": {"dahl.Fc": 0.006},
+    "elastoplastic": {"elastoplastic.Fc": 0.006},
+    "gms": {"gms.Fc": 0.006},
+    "leuven": {"leuven.Fc": 0.006},
+    "lugre_velocity_damping": {"lugre_velocity_damping.Fc": 0.006},
+    "stribeck_static": {"stribeck_static.Fc": 0.006},
     "viscous": {},
 }
 EXPECTED = {
     "modified": {"Fc": 4.0, "sigma0": 500.0, "sigma1": 700.0, "sigma2": 200.0, "c": 125.0, "tau": 0.01},
     "modified_polynomial": {"sigma0": 500.0, "c": 125.0, "tau": 0.0},
-    "lugre": {"Fc": 3.0},
+    "lugre": {"Fc": 3.0, "a0": 0.0075, "a1": 0.005, "v0": math.radians(25)},
+    "lugre_velocity_damping": {"Fc": 3.0, "a0": 0.0075, "a1": 0.0015, "v0": math.radians(25)},
+    "elastoplastic": {"Fc": 3.0, "a0": 0.0075, "a1": 0.0015, "v0": math.radians(25)},
+    "dahl": {"Fc": 3.0, "a0": 0.0075},
+    "gms": {"Fc": 3.0, "v0": math.radians(25)},
+    "stribeck_static": {"Fc": 3.0, "v0": math.radians(25)},
     "coulomb": {"Fc": 3.0},
+    "leuven": {"Fc": 3.0},
     "viscous": {},
 }
 
@@ -153,8 +172,8 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
     program = servo_program(name)
     values = Native(program, {"J": J, "b": 0.01, "a2": 0.003, **OWN[name]}).values
     expected = {"alpha2": 1.5, "b": 5.0, **EXPECTED[name]}
-    assert set(NORMALISED) == {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau"}
-    for parameter in NORMALISED:
+    assert set(NORMALISED) == {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau", "vc", "a0", "a1", "v0"}
+    for parameter in set(NORMALISED) - {"vc"}:  # which follows from the others; see below
         value = values[program.index[f"true.{parameter}"]]
         valid = values[program.index[f"true.{parameter}_valid"]]
         assert valid == (1.0 if parameter in expected else 0.0)
@@ -164,7 +183,33 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
             assert math.isnan(value)
 
 
-@pytest.mark.parametrize("name", ["modified", "lugre", "coulomb"])
+def test_the_true_gate_is_where_the_basis_functions_leave_five_percent():
+    """At the gate the friction level differs by 5 % from Coulomb friction, above it by less, whatever the weights."""
+    program = servo_program("modified")
+    for sigma in ({}, {"modified.sigma2": 50.0}, {"modified.sigma1": 0.0, "modified.sigma2": -300.0}):
+        servo = Native(program, {"J": J, "b": 0.01, "a2": 0.003} | sigma)
+        weights = [dict(zip((s.name for s in program.slots), servo.values, strict=True))[f"modified.sigma{i}"] for i in range(3)]
+        gate = servo.values[program.index["true.vc"]]
+        speeds = np.linspace(0.999 * gate, 3 * gate, 2000)
+        last = np.array([float(ca.evalf(gaussian(ca.SX(v))[-1])) for v in speeds])
+        share = np.abs(weights[2] * last / weights[0])
+        assert share[speeds >= gate].max() < 0.05 < share[0] < 0.051
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_true_gate_is_where_the_stribeck_effect_leaves_five_percent(name):
+    """A friction level Fc + (Fs - Fc) exp(-(v/vs)^2) is within 5 % of Fc from there on; other laws have no such speed."""
+    program = servo_program(name)
+    stribeck = {f"{name}.Fc": 0.006, f"{name}.Fs": 0.0084, f"{name}.vs": 0.5}
+    has = f"{name}.vs" in program.index and name != "leuven"  # whose elements may stop short of the curve
+    servo = Native(program, {"J": J} | (stribeck if has else {}))
+    assert servo.values[program.index["true.vc_valid"]] == (name == "modified" or has)
+    if has:
+        gate = servo.values[program.index["true.vc"]]
+        assert 0.0024 * math.exp(-((gate / 0.5) ** 2)) == pytest.approx(0.05 * 0.006, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", [name for name in SHIPPED if "Fc" in EXPECTED[name]])
 def test_the_true_coulomb_friction_is_what_a_fast_shaft_feels(name):
     program = servo_program(name)
     native = Native(program, {"J": J, "b": 0.01, "a2": 0.003, **OWN[name]})

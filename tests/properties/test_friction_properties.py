@@ -95,6 +95,38 @@ def test_deflection_stays_below_fs_over_sigma0_and_is_dissipative(values, seed, 
     assert np.all(np.diff(work - z**2 / 2) >= -1e-6 * limit**2 - 1e-11)
 
 
+def surplus(values, v, viscous, h=H):
+    """Return int F v - sigma0 z^2/2, with viscous friction sigma2 v in F, at each sample."""
+    record, _ = Native(alone("lugre"), values).run(h, {"v": v}, ["alone.z", "mechanical_out"])
+    z, energy = record.T
+    return energy + viscous * np.concatenate([[0.0], np.cumsum(v**2 * h)]) - values["lugre.sigma0"] * z**2 / 2
+
+
+@FEW
+@given(LUGRE, SEED, SIZE, st.floats(1.0, 5.0))
+def test_lugre_takes_energy_where_viscous_friction_outweighs_the_bristles_damping(values, seed, size, factor):
+    """int F v >= d(sigma0 z^2/2) for sigma2 >= sigma1 (Fs - Fc)/Fc.
+
+    Source: barabanov2000.
+    """
+    values, v = lugre(values), velocities(seed, size)
+    viscous = factor * values["lugre.sigma1"] * (values["lugre.Fs"] - values["lugre.Fc"]) / values["lugre.Fc"]
+    found = surplus(values, v, viscous)
+    assert np.all(np.diff(found) >= -1e-6 * values["lugre.Fs"] ** 2 / values["lugre.sigma0"])
+    assert found[-1] > 0.0
+
+
+@pytest.mark.parametrize(("viscous", "passive"), [(0.4, False), (158.2, True)])
+def test_set_t_gives_energy_back(viscous, passive):
+    """Set T has sigma2 = 0.4 N.s/m where 158 would be needed: bent at rest and pulled on, its bristles push."""
+    values = {"lugre.sigma0": 1e5, "lugre.sigma1": math.sqrt(1e5), "lugre.Fc": 1.0, "lugre.Fs": 1.5, "lugre.vs": 1e-3}
+    rest = surplus(values, np.full(2000, 1e-5), viscous, 1e-2)
+    assert rest[-1] - rest[0] > 0.0
+    v = np.concatenate([np.full(20_000, 1e-5), np.full(300, 0.1)])
+    found = surplus(values, v, viscous)[20_000:]
+    assert (np.min(np.diff(found)) >= 0.0) == passive
+
+
 @FEW
 @given(MODIFIED, SEED, SIZE)
 def test_modified_friction_is_bounded_and_dissipative(values, seed, size):

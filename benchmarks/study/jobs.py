@@ -1,0 +1,255 @@
+"""What the study computes for one record: every method on it, the baselines, the floor. One file of results a record."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import bodies
+import numpy as np
+from fits import FIXED, bound, fit, neutral, simulated
+from numpy.typing import NDArray
+from records import STEP, TRUE, changed, record
+
+from bristle.harness.fit import Data, regression
+from bristle.harness.metrics import error_percent, mse_percent
+from bristle.model.errors import SimulationError
+from bristle.model.native import Native
+from bristle.observer import methods, observer_program
+from bristle.observer.method import observer
+
+Array = NDArray[np.float64]
+Json = dict[str, Any]
+BEST = "self_starting_ekf"
+SECONDS = 200.0
+CHECKS = (60.0, SECONDS)  # s, when estimates are judged
+SECOND_RECORD = 100.0
+BAND = 5.0  # percent
+SENSORS = {"clean": ("y_theta", "y_v"), "encoder": ("encoder", "encoder_v")}
+LEAN = {  # a lean model's parameters by the estimates they come from
+    "modified": {"b": "b", "a2": "alpha2", "modified.sigma0": "sigma0", "modified.sigma1": "sigma1", "modified.sigma2": "sigma2",
+                 "modified.c": "c"},
+    "coulomb": {"b": "b", "a2": "alpha2", "coulomb.Fc": "Fc"},
+    "viscous": {"b": "b", "a2": "alpha2"},
+}  # fmt: skip
+LEAST = {"a2": 0.0, "modified.sigma0": 1e-6, "modified.c": 1e-6, "modified.tau": 0.0, "coulomb.Fc": 0.0}
+SPREAD = 10.0  # starts are up to this factor off, either way
+PLACES = ("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
+RESOLUTION = 2 * math.pi / 40000
+
+
+def estimators() -> list[str]:
+    """Return the methods that estimate some of the parameters at all."""
+    return [name for name in methods() if estimated(name)]
+
+
+def told(method: str) -> dict[str, float]:
+    """Return the parameters that a method takes as known, with the true values (all plants have the same servo)."""
+    true = TRUE["S"]
+    return {p.name: true[p.symbol] for p in methods()[method].parameters if p.description.endswith("known")}
+
+
+def estimated(method: str) -> list[str]:
+    """Return what a method has an estimate of, valid or not, in the order of the tables."""
+    outputs = {variable.name: expression for variable, expression in observer(methods()[method]).outputs.values()}
+    return [name for name in PLACES if not outputs[f"{name}_hat"].is_constant()]
+
+
+def _hats(names: Any) -> list[str]:
+    return [f"{name}_hat" for name in names]
+
+
+def observed(
+    method: str, data: Mapping[str, Array], sensor: str, values: Mapping[str, float], step: float = STEP
+) -> tuple[Array, Array, str | None]:
+    """Return (estimates of alpha2, b, sigma_i, c, Fc, tau for each t_k, validity, why it ended early)."""
+    names = (*PLACES, "Fc", "tau")
+    theta, velocity = SENSORS[sensor]
+    inputs = {"u": data["u"], "y_theta": data[theta], "y_v": data[velocity]}
+    instance = Native(observer_program(method), {"sample_time": step, **told(method), **values})
+    columns = [*_hats(names), *(f"{name}_valid" for name in names)]
+    try:
+        out, _ = instance.run(step, inputs, columns)
+    except SimulationError as error:
+        nothing = np.full((len(data["u"]), len(names)), np.nan)
+        return nothing, np.zeros_like(nothing), str(error)
+    rows = out[1:]
+    return rows[:, : len(names)], rows[:, len(names) :], None
+
+
+def validation(final: Mapping[str, float], second: Mapping[str, Array]) -> tuple[str | None, float]:
+    """Return (the richest lean model that the estimates make, eq. (25) in % on the second record)."""
+    for law, names in LEAN.items():
+        if all(math.isfinite(final[name]) for name in names.values()):
+            values = {parameter: final[name] for parameter, name in names.items()}
+            if law == "modified" and math.isfinite(final["tau"]):
+                values["modified.tau"] = final["tau"]
+            values = {name: max(value, LEAST.get(name, -math.inf)) for name, value in values.items()}
+            return law, mse_percent(second["y_v"], simulated(law, values, second["u"]))
+    return None, math.nan
+
+
+def judged(
+    method: str, plant: str, data: Mapping[str, Array], second: Mapping[str, Array], sensor: str, checks: tuple[float, ...] = CHECKS
+) -> Json:
+    """Return what one method reaches on one record."""
+    known = {p.symbol: value for p in methods()[method].parameters for name, value in told(method).items() if name == p.name}
+    rows, valid, failure = observed(method, data, sensor, {})
+    true = TRUE.get(plant, {})
+    places = [i for i, name in enumerate(PLACES) if name in true and name not in known and np.isfinite(rows[-1, i])]
+    error = error_percent(np.where(valid[:, places] > 0, rows[:, places], np.nan), np.array([true[PLACES[i]] for i in places]))
+    outside = np.flatnonzero(~(np.abs(error) <= BAND).all(axis=1)) if places else np.empty(0, dtype=int)
+    settled = float((outside[-1] + 1) * STEP) if len(outside) else 0.0
+    out: Json = {"failure": failure, "settling_s": settled if places and outside[-1:] != len(rows) - 1 else None, "checks": {}}
+    for check in checks:
+        k = round(check / STEP) - 1
+        final = {name: float(rows[k, i]) if valid[k, i] > 0 else math.nan for i, name in enumerate((*PLACES, "Fc", "tau"))}
+        law, mse = validation(final | known, second)
+        errors = {PLACES[i]: float(error[k, j]) for j, i in enumerate(places)}
+        out["checks"][f"{check:g}"] = {"errors": errors, "law": law, "mse": mse, "estimates": final}
+    return out
+
+
+def baselines(data: Mapping[str, Array], second: Mapping[str, Array], best: Mapping[str, float]) -> Json:
+    """Return eq. (25) on the second record of what is fitted to the first 60 s of the clean velocity."""
+    n = round(CHECKS[0] / STEP)
+    u, v = data["u"][:n], data["y_v"][:n]
+    alpha2, b, friction = regression(Data(u, v, STEP))
+    starts = {law: neutral(law, b, alpha2, friction) for law in LEAN}
+    if all(math.isfinite(best[name]) for name in LEAN["modified"].values()):
+        from_best = {parameter: best[name] for parameter, name in LEAN["modified"].items()}
+        starts["modified"].append(from_best | {"modified.tau": max(best["tau"], 1e-6)})
+    found = {law: fit(law, u, v, starts[law]) for law in LEAN}
+    return {
+        law: {"parameters": each.parameters, "identification": each.mse_percent,
+              "mse": mse_percent(second["y_v"], simulated(law, each.parameters, second["u"]))}
+        for law, each in found.items()
+    }  # fmt: skip
+
+
+def information(plant: str, data: Mapping[str, Array]) -> Json:
+    """Return the information bound of the six parameters, relative, at 15 s and 60 s."""
+    true = TRUE[plant]
+    values = {parameter: true[name] for parameter, name in LEAN["modified"].items()} | {"modified.tau": 0.0}
+    n = round(CHECKS[0] / STEP)
+    found = bound(values, data["u"][:n], RESOLUTION, (15.0, 60.0))
+    order = [list(LEAN["modified"].values()).index(name) for name in PLACES]
+    return {f"{second:g}": [float(each[i]) for i in order] for second, each in found.items()}
+
+
+def spread_starts(method: str, plant: str, random: np.random.Generator) -> dict[str, float]:
+    """Return starts of a method's estimates, each up to ten times too large or too small."""
+    values = {}
+    for p in methods()[method].parameters:
+        name = started(method, p.name)
+        if name in TRUE[plant]:
+            values[p.name] = float(np.clip(TRUE[plant][name] * SPREAD ** random.uniform(-1.0, 1.0), p.minimum, p.maximum))
+    return values
+
+
+def whole(plant: str, order: int, seed: int) -> Json:
+    """Return all results on one record."""
+    data, second = record(plant, order, seed, SECONDS), record(plant, order, 1000 + seed, SECOND_RECORD)
+    out: Json = {sensor: {method: judged(method, plant, data, second, sensor) for method in estimators()} for sensor in SENSORS}
+    best = out["encoder"][BEST]["checks"][f"{CHECKS[0]:g}"]["estimates"]
+    out["baselines"] = baselines(data, second, best)
+    if plant in TRUE:
+        out["information"] = information(plant, data)
+    out["changes"] = int(starts_of_best(data) - 1)
+    return out
+
+
+def best_alone(plant: str, order: int, seed: int) -> Json:
+    """Return what the best method reaches from the encoder on one more record, with the baselines."""
+    data, second = record(plant, order, seed, CHECKS[0]), record(plant, order, 1000 + seed, SECOND_RECORD)
+    entry = judged(BEST, plant, data, second, "encoder", CHECKS[:1])
+    out: Json = {"encoder": {BEST: entry}}
+    out["baselines"] = baselines(data, second, entry["checks"][f"{CHECKS[0]:g}"]["estimates"])
+    if plant in TRUE:
+        out["information"] = information(plant, data)
+    out["changes"] = int(starts_of_best(data) - 1)
+    return out
+
+
+def two_bodies(plant: str, order: int, seed: int) -> Json:
+    """Return for each method the errors at the end of a record of the two rubbing bodies, in %.
+
+    Methods get the benchmark's start values for what they have a start of, and the true ones of what they take as known.
+    """
+    data, out = bodies.record(seed), dict[str, Json]()
+    for sensor in SENSORS:
+        out[sensor] = {}
+        for method in estimators():
+            declared = methods()[method].parameters
+            given = {p.name: bodies.TRUE[p.symbol] for p in declared if p.name in told(method)}
+            begin = {p.name: bodies.START[name] for p in declared if (name := started(method, p.name)) in bodies.START}
+            known = [p.symbol for p in declared if p.name in given]
+            rows, valid, failure = observed(method, data, sensor, begin | given, bodies.STEP)
+            places = [i for i, name in enumerate(PLACES) if name in bodies.TRUE and name not in known and np.isfinite(rows[-1, i])]
+            final = np.where(valid[-1, places] > 0, rows[-1, places], np.nan)
+            error = error_percent(final, np.array([bodies.TRUE[PLACES[i]] for i in places]))
+            out[sensor][method] = {"errors": {PLACES[i]: float(e) for i, e in zip(places, error, strict=True)}, "failure": failure}
+    return out
+
+
+def started(method: str, parameter: str) -> str:
+    """Return what a parameter of a method is the start value of; for another parameter, no known name."""
+    return parameter.removeprefix(f"{method}.").removesuffix("_start") if parameter.endswith("_start") else ""
+
+
+def starts_of_best(data: Mapping[str, Array]) -> float:
+    """Return how often the best method has started on the first 60 s of the encoder's record."""
+    n = round(CHECKS[0] / STEP)
+    inputs = {"u": data["u"][:n], "y_theta": data["encoder"][:n], "y_v": data["y_v"][:n]}
+    out, _ = Native(observer_program(BEST)).run(STEP, inputs, [f"{BEST}.starts"])
+    return float(out[-1, 0])
+
+
+def after_a_change(plant: str, order: int, seed: int) -> Json:
+    """Return for each method how long it takes to be within 5 % again after the normal load has doubled at 60 s."""
+    data, true = changed(plant, order, seed), dict(TRUE[plant])
+    out: Json = {}
+    before = round(CHECKS[0] / STEP)
+    for name in ("sigma0", "sigma1", "sigma2"):
+        true[name] *= 2.0
+    for method in estimators():
+        known = [p.symbol for p in methods()[method].parameters if p.name in told(method)]
+        rows, valid, failure = observed(method, data, "encoder", {})
+        places = [i for i, name in enumerate(PLACES) if name not in known and np.isfinite(rows[-1, i])]
+        error = error_percent(np.where(valid[:, places] > 0, rows[:, places], np.nan), np.array([true[PLACES[i]] for i in places]))
+        outside = np.flatnonzero(~(np.abs(error[before:]) <= BAND).all(axis=1)) if places else np.empty(0, dtype=int)
+        back = bool(places) and outside[-1:] != len(error) - before - 1
+        out[method] = {"back_s": float((outside[-1] + 1) * STEP) if back and len(outside) else None, "failure": failure}
+    return out
+
+
+def from_spread_starts(plant: str, order: int, seed: int, runs: int) -> Json:
+    """Return for each method that has starts how often it is not within 5 % at 60 s, from starts that are far off."""
+    data = {name: values[: round(CHECKS[0] / STEP)] for name, values in record(plant, order, seed, CHECKS[0]).items()}
+    out: Json = {}
+    for method in estimators():
+        random, failed, names = np.random.default_rng([order, seed]), 0, spread_starts(method, plant, np.random.default_rng(0))
+        if not names:
+            continue
+        known = [p.symbol for p in methods()[method].parameters if p.name in told(method)]
+        for _ in range(runs):
+            rows, _, failure = observed(method, data, "encoder", spread_starts(method, plant, random))
+            places = [i for i, name in enumerate(PLACES) if name not in known and np.isfinite(rows[-1, i])]
+            error = error_percent(rows[-1, places], np.array([TRUE[plant][PLACES[i]] for i in places]))
+            failed += failure is not None or not places or not bool((np.abs(error) <= BAND).all())
+        out[method] = {"runs": runs, "failed": failed}
+    return out
+
+
+def write(path: Path, result: Json) -> None:
+    """Write a result in one piece."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_suffix(".part")
+    draft.write_text(json.dumps(result), encoding="utf-8")
+    draft.replace(path)
+
+
+__all__ = ["BEST", "FIXED", "after_a_change", "from_spread_starts", "whole", "write"]

@@ -1,0 +1,322 @@
+"""Tables and figures of the study from its files of results."""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jobs import BEST, CHECKS, PLACES, estimators
+from records import STEP, record
+from scipy.stats import beta
+
+from bristle.model.native import Native
+from bristle.observer import observer_program
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+Json = dict[str, Any]
+SENSORS = ("clean", "encoder")
+LATE = f"{CHECKS[-1]:g}"
+EARLY = f"{CHECKS[0]:g}"
+FIT = ("L0", "L1", "GMS")
+WITH_TRUTH = ("S", "R")
+COST_STEPS = 60_000
+COMMAND = "`scripts/study`"
+
+
+def bound(count: int, n: int) -> float:
+    """Return the exact one-sided 95 % upper bound of a rate.
+
+    Source: clopper1934.
+    """
+    return 1.0 if count >= n else float(beta.ppf(0.95, count + 1, n - count))
+
+
+def two(values: Iterable[float | None], form: str = ".1f") -> str:
+    """Return median / largest; one that is missing counts as larger than any."""
+    numbers = sorted(math.inf if x is None or not math.isfinite(x) else x for x in values)
+    if not numbers:
+        return "-"
+    return " / ".join("never" if math.isinf(x) else f"{x:{form}}" for x in (statistics.median_high(numbers), numbers[-1]))
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in markdown."""
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in rows)]
+    return "\n".join(lines)
+
+
+class Results:
+    """All files of results, by kind and plant."""
+
+    def __init__(self, found: Mapping[Any, Path]) -> None:
+        self.found = {job: json.loads(path.read_text(encoding="utf-8")) for job, path in found.items()}
+
+    def of(self, kind: str, plant: str) -> list[Json]:
+        """Return the results of one kind on one plant."""
+        return [result for job, result in self.found.items() if (job.kind, job.plant) == (kind, plant)]
+
+    def of_best(self, plant: str) -> list[Json]:
+        """Return the results of the best method from the encoder, also those on the records that it alone has."""
+        return [*self.of("record", plant), *self.of("best", plant)]
+
+    def methods(self, sensor: str, plant: str, method: str) -> list[Json]:
+        """Return what a method reached on every record of a plant."""
+        return [result[sensor][method] for result in self.of("record", plant)]
+
+
+def largest(entry: Json, check: str) -> float:
+    """Return the largest error of any parameter that has a truth, in %."""
+    return worst(entry["checks"][check]["errors"])
+
+
+def worst(errors: Mapping[str, float]) -> float:
+    """Return the largest of some errors; none at all is not a number."""
+    return max((abs(x) if math.isfinite(x) else math.inf for x in errors.values()), default=math.nan)
+
+
+def ratios(found: Sequence[Json], sensor: str, method: str, check: str, over: str) -> list[float]:
+    """Return the validation error over that of a baseline fitted to the same record."""
+    out = []
+    for result in found:
+        mse = result[sensor][method]["checks"][check]["mse"]
+        out.append(mse / result["baselines"][over]["mse"] if mse is not None and math.isfinite(mse) else math.inf)
+    return out
+
+
+def identification(results: Results, sensor: str) -> str:
+    """Return the table of times and errors on the plants whose parameters are known."""
+    what = ("to 5 %, s", f"error at {EARLY} s, %", f"at {LATE} s, %")
+    head = ["method", *(f"{plant}: {each}" for plant in WITH_TRUTH for each in what)]
+    rows = []
+    for method in estimators():
+        cells = [method]
+        for plant in WITH_TRUTH:
+            entries = results.methods(sensor, plant, method)
+            cells.append(two(entry["settling_s"] for entry in entries))
+            cells += [two((largest(entry, check) for entry in entries), ".2f") for check in (EARLY, LATE)]
+        rows.append(cells)
+    return table([*head, "failed"], [[*row, failures(results, sensor, row[0])] for row in rows])
+
+
+def failures(results: Results, sensor: str, method: str) -> str:
+    """Return how many runs ended early, of how many."""
+    entries = [result[sensor][method] for job, result in results.found.items() if job.kind == "record"]
+    return f"{sum(entry['failure'] is not None for entry in entries)} of {len(entries)}"
+
+
+def bias(results: Results, sensor: str) -> str:
+    """Return the table of the mean signed error of each parameter at the end."""
+    head = ["method", *(f"{plant}: {name}" for plant in WITH_TRUTH for name in PLACES)]
+    rows = []
+    for method in estimators():
+        cells = [method]
+        for plant in WITH_TRUTH:
+            for name in PLACES:
+                errors = [entry["checks"][LATE]["errors"].get(name) for entry in results.methods(sensor, plant, method)]
+                numbers = [x for x in errors if x is not None and math.isfinite(x)]
+                cells.append(f"{statistics.mean(numbers):+.2f}" if numbers and len(numbers) == len(errors) else "-")
+        rows.append(cells)
+    return table(head, rows)
+
+
+def validation(results: Results, sensor: str, over: str, plants: Sequence[str]) -> str:
+    """Return the table of validation errors over a baseline's."""
+    head = ["method", *(f"{plant}, {check} s" for plant in plants for check in (EARLY, LATE))]
+    rows = []
+    for method in estimators():
+        found = [ratios(results.of("record", plant), sensor, method, check, over) for plant in plants for check in (EARLY, LATE)]
+        rows.append([method, *(two(each, ".3g") for each in found)])
+    return table(head, rows)
+
+
+def changes(results: Results) -> str:
+    """Return the table of the doubled load."""
+    rows = []
+    for method in estimators():
+        cells = [method]
+        for plant in WITH_TRUTH:
+            cells.append(two(result[method]["back_s"] for result in results.of("change", plant)))
+        rows.append(cells)
+    return table(["method", *WITH_TRUTH], rows)
+
+
+def starts(results: Results) -> str:
+    """Return the table of starts that are far off."""
+    rows = []
+    for method in estimators():
+        counts = [[r[method] for r in results.of("starts", plant) if method in r] for plant in WITH_TRUTH]
+        if all(counts):
+            cells = [f"{sum(r['failed'] for r in each)} of {sum(r['runs'] for r in each)}" for each in counts]
+            rows.append([method, *cells])
+    return table(["method", *WITH_TRUTH], rows)
+
+
+def bodies(results: Results) -> str:
+    """Return the table of the largest errors on the two rubbing bodies."""
+    rows = []
+    for method in estimators():
+        cells = [method]
+        for sensor in SENSORS:
+            cells.append(two((worst(result[sensor][method]["errors"]) for result in results.of("bodies", "Z")), ".2f"))
+        rows.append(cells)
+    return table(["method", *SENSORS], rows)
+
+
+def cost() -> str:
+    """Return the table of cost per step, measured now, side by side: the least of several runs of each."""
+    data = record("S", 1, 1, COST_STEPS * STEP)
+    inputs = {name: data[name] for name in ("u", "y_theta", "y_v")}
+    instances = {method: Native(observer_program(method)) for method in estimators()}
+    best = dict.fromkeys(instances, math.inf)
+    for _ in range(5):
+        for method, instance in instances.items():
+            instance.reset()
+            begun = time.process_time()
+            instance.run(STEP, inputs, ["convergence"])
+            best[method] = min(best[method], time.process_time() - begun)
+    unit = best["bastin_gevers"]
+    return table(
+        ["method", "us a step", "over bastin_gevers"],
+        [[method, f"{1e6 * seconds / COST_STEPS:.2f}", f"{seconds / unit:.1f}"] for method, seconds in best.items()],
+    )
+
+
+def goals(results: Results) -> str:
+    """Return what the best method reaches, with counts and bounds."""
+    rows: list[list[str]] = []
+
+    def add(what: str, values: Sequence[float], holds: Callable[[float], bool], goal: str, form: str = ".2f") -> None:
+        missed = sum(not holds(x) for x in values)
+        rows.append([what, two(values, form), goal, f"{missed} of {len(values)}, {100 * bound(missed, len(values)):.1f} %"])
+
+    for plant in WITH_TRUTH:
+        entries = [result["encoder"][BEST] for result in results.of_best(plant)]
+        add(f"{plant}: time to 5 %, s", [x if (x := e["settling_s"]) is not None else math.inf for e in entries],
+            lambda x: x <= 10, "median <= 6, worst <= 10", ".1f")  # fmt: skip
+        add(f"{plant}: largest error at {EARLY} s, %", [largest(e, EARLY) for e in entries], lambda x: x <= 0.3, "<= 0.3")
+        add(f"{plant}: MSE, %", [e["checks"][EARLY]["mse"] for e in entries], lambda x: x <= 1e-4, "<= 1e-4", ".1e")
+    for plant in FIT:
+        add(f"{plant}: MSE over floor at {EARLY} s", ratios(results.of_best(plant), "encoder", BEST, EARLY, "modified"),
+            lambda x: x <= 1.5, "worst <= 1.5")  # fmt: skip
+    for plant in WITH_TRUTH:
+        back = [r[BEST]["back_s"] for r in results.of("change", plant)]
+        add(f"{plant}: load doubled, back within 5 %, s", [math.inf if x is None else x for x in back], lambda x: x <= 10,
+            "worst <= 10", ".1f")  # fmt: skip
+        counts = [r[BEST] for r in results.of("starts", plant)]
+        failed, n = sum(c["failed"] for c in counts), sum(c["runs"] for c in counts)
+        rows.append([f"{plant}: starts ten times off, not within 5 % at {EARLY} s", f"{failed} of {n}", "0",
+                     f"{failed} of {n}, {100 * bound(failed, n) if n else 100:.1f} %"])  # fmt: skip
+    false = [result["changes"] > 0 for plant in (*WITH_TRUTH, *FIT) for result in results.of_best(plant)]
+    rows.append(["changes found on unchanged records", f"{sum(false)} of {len(false)}", "<= 1 of 60",
+                 f"{sum(false)} of {len(false)}, {100 * bound(sum(false), len(false)):.1f} %"])  # fmt: skip
+    for plant in WITH_TRUTH:
+        rows.append([f"{plant}: rms error over the Cramer-Rao bound at {EARLY} s", two(efficiency(results, plant)), "aim: 3", "-"])
+    return table(["", "median / worst", "goal", "missed, 95 % bound"], rows)
+
+
+def efficiency(results: Results, plant: str) -> list[float]:
+    """Return for each parameter the rms over the records of its error over its bound."""
+    out = []
+    for i, name in enumerate(PLACES):
+        scaled = []
+        for result in results.of_best(plant):
+            error = result["encoder"][BEST]["checks"][EARLY]["errors"][name] / 100
+            scaled.append((error / result["information"][EARLY][i]) ** 2)
+        out.append(math.sqrt(statistics.mean(scaled)) if scaled else math.inf)
+    return out
+
+
+def figure_times(results: Results, out: Path) -> None:
+    """Draw the times to 5 %, a dot a record."""
+    def settles(method: str) -> bool:
+        return any(e["settling_s"] is not None for plant in WITH_TRUTH for e in results.methods("encoder", plant, method))
+
+    names = [method for method in estimators() if settles(method)]
+    figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
+    for row, method in enumerate(reversed(names)):
+        for plant, mark, shift in zip(WITH_TRUTH, "os", (0.12, -0.12), strict=True):
+            times = [e["settling_s"] for e in results.methods("encoder", plant, method)]
+            there = [x for x in times if x is not None]
+            axes.plot(there, np.full(len(there), row + shift), mark, ms=4, alpha=0.6, color="C0" if plant == "S" else "C1")
+            if len(there) < len(times):
+                axes.text(CHECKS[-1] * 1.05, row + shift, f"{plant}: {len(times) - len(there)} never", fontsize=7, va="center")
+    axes.set(xscale="log", xlabel="time until all parameters stay within 5 % (s), encoder", yticks=range(len(names)))
+    axes.set_yticklabels(list(reversed(names)))
+    axes.plot([], [], "o", color="C0", label="set S")
+    axes.plot([], [], "s", color="C1", label="set R")
+    axes.legend(loc="upper left", fontsize=8)
+    axes.grid(axis="x", alpha=0.3)
+    figure.savefig(out / "time_to_5_percent.png", dpi=130)
+    plt.close(figure)
+
+
+def figure_floor(results: Results, out: Path) -> None:
+    """Draw the validation error over the floor on the plants that no observer's model contains."""
+    def of(plant: str, method: str) -> list[float]:
+        return [x for x in ratios(results.of("record", plant), "encoder", method, EARLY, "modified") if math.isfinite(x)]
+
+    names = [method for method in estimators() if any(of(plant, method) for plant in FIT)]
+    figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
+    for row, method in enumerate(reversed(names)):
+        for plant, shift in zip(FIT, (0.2, 0.0, -0.2), strict=True):
+            values = of(plant, method)
+            axes.plot(values, np.full(len(values), row + shift), ".", ms=5, alpha=0.6, color=f"C{FIT.index(plant)}")
+    axes.axvline(1.0, color="0.4", lw=0.8)
+    axes.set(xscale="log", xlabel=f"validation error over the 7-parameter floor after {EARLY} s, encoder", yticks=range(len(names)))
+    axes.set_yticklabels(list(reversed(names)))
+    for i, plant in enumerate(FIT):
+        axes.plot([], [], ".", color=f"C{i}", label=plant)
+    axes.legend(loc="upper right", fontsize=8)
+    axes.grid(axis="x", alpha=0.3)
+    figure.savefig(out / "validation_over_floor.png", dpi=130)
+    plt.close(figure)
+
+
+ABOUT = f"""# Observers compared
+
+{COMMAND} runs every observer of `bristle list`, with its default settings, on closed-loop records of {LATE} s under the
+reference controller, on {{n}} records of each plant (seeds 1 to {{seeds}}, both orders of the reference), from clean signals and
+from the encoder (40 000 counts a turn; velocity: differences of counts). Methods that take alpha2 and b as known are told the
+true ones. Each cell: median / worst record; "never": not by the end, or no number. Plants S, R: the modified law, parameters
+known. L0, L1: original LuGre without and with bristle damping; GMS: four Maxwell-slip elements; no observer's model contains
+them, and they are judged by eq. (25) on a second record, over what a fit reaches.
+"""
+
+
+ABOUT_BODIES = """The benchmark of clavel2001: 3 x 1000 samples of 5 ms, saw-tooth forces, one length and one stiffness of the
+bristles; encoder: 1 um. Its own start values are given to the methods that have starts, the true alpha2 and b to those that take
+them as known; a millimetre stands for the radian. All else is as the methods come, made for 1 ms and for a servo; here 1 000 mm/s
+are reached, at which the presliding distance is passed fifty times in a sample: only reversals tell sigma0 and c apart."""
+
+
+def publish(found: Mapping[Any, Path], docs: Path) -> str:
+    """Write the pages and figures, and return where they are."""
+    results = Results(found)
+    docs.mkdir(parents=True, exist_ok=True)
+    figure_times(results, docs)
+    figure_floor(results, docs)
+    seeds = max(job.seed for job in found)
+    parts = [ABOUT.format(n=len(results.of("record", "S")), seeds=seeds), "## What the best one reaches", goals(results)]
+    parts += ["![Times](time_to_5_percent.png)", "![Validation](validation_over_floor.png)"]
+    for sensor in SENSORS:
+        parts += [f"## Parameters, {sensor}", identification(results, sensor)]
+        parts += [f"## Validation error over the 7-parameter floor, {sensor}", validation(results, sensor, "modified", FIT)]
+        every = validation(results, sensor, "coulomb", (*WITH_TRUTH, *FIT))
+        parts += [f"## Validation error over viscous + Coulomb, {sensor}", every]
+        parts += [f"## Mean error at {LATE} s in %, {sensor}", bias(results, sensor)]
+    parts += ["## Normal load doubled at 60 s: seconds until within 5 % again, encoder", changes(results)]
+    parts += [f"## Starts up to ten times off: records not within 5 % at {EARLY} s, encoder", starts(results)]
+    parts += ["## Two bodies (Z): largest error at the end of 15 s in %", ABOUT_BODIES, bodies(results)]
+    parts += ["## Cost", cost()]
+    page = docs / "README.md"
+    page.write_text("\n\n".join(part.strip() for part in parts) + "\n", encoding="utf-8")
+    return f"{page}"

@@ -1,0 +1,116 @@
+"""The comparative study: every observer on every plant; tables and figures in docs/study (see scripts/study).
+
+    python benchmarks/study/run.py                    # all of it; goes on where it was stopped
+    python benchmarks/study/run.py --seeds 2          # a part
+    python benchmarks/study/run.py --pages            # only the pages, from the results there are
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: one thread a worker
+    os.environ[variable] = "1"
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+import jobs  # noqa: E402 - after the threads are set
+from pages import publish  # noqa: E402 - after the threads are set
+from records import TRUE  # noqa: E402 - after the threads are set
+from rich.console import Console  # noqa: E402 - after the threads are set
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: E402 - as above
+
+from bristle.model.sources import fingerprint  # noqa: E402 - after the threads are set
+from bristle.observer import observer_program  # noqa: E402 - after the threads are set
+
+STUDIED = ("S", "R", "L0", "L1", "GMS")
+ORDERS = (1, 2)
+STARTS = 5  # on each record, so that 24 records make more than a hundred
+WORK: dict[str, Callable[[str, int, int], Any]] = {
+    "record": jobs.whole,
+    "best": jobs.best_alone,
+    "bodies": jobs.two_bodies,
+    "change": jobs.after_a_change,
+    "starts": partial(jobs.from_spread_starts, runs=STARTS),
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One file of results: what to compute, and of what."""
+
+    kind: str
+    plant: str
+    order: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind}_{self.plant}_{self.order}_{self.seed}.json"
+
+    def run(self, out: Path) -> None:
+        """Compute and write."""
+        jobs.write(out / self.name, WORK[self.kind](self.plant, self.order, self.seed))
+
+
+def plan(seeds: int) -> Iterator[Job]:
+    """Yield all jobs, the longest first. The best method gets as many records again, which no other one has seen."""
+    first, again = range(1, seeds + 1), range(seeds + 1, 2 * seeds + 1)
+    known = tuple(TRUE)
+    kinds = (("record", STUDIED, first), ("best", STUDIED, again), ("starts", known, first), ("change", known, (*first, *again)))
+    for kind, plants, numbers in kinds:
+        yield from (Job(kind, plant, order, seed) for seed in numbers for plant in plants for order in ORDERS)
+    yield from (Job("bodies", "Z", 1, seed) for seed in first)
+
+
+def results_folder(root: Path) -> Path:
+    """Return the folder for results of exactly these observers: changed ones are computed anew."""
+    import hashlib
+
+    digest = hashlib.sha256(repr(fingerprint(observer_program())).encode()).hexdigest()[:12]
+    return root / digest
+
+
+def compute(seeds: int, out: Path, workers: int) -> None:
+    """Compute what is missing, with a bar of progress."""
+    todo = [job for job in plan(seeds) if not (out / job.name).exists()]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar, ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        task = bar.add_task("study", total=len(todo))
+        for future in as_completed([pool.submit(job.run, out) for job in todo]):
+            future.result()
+            bar.advance(task)
+
+
+def main() -> int:
+    """Compute, and write the pages."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="worker processes")
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "out" / "study", help="folder of the results")
+    parser.add_argument("--docs", type=Path, default=HERE.parents[1] / "docs" / "study", help="folder of the pages")
+    parser.add_argument("--pages", action="store_true", help="only write the pages")
+    given = parser.parse_args()
+    out = results_folder(given.out)
+    if not given.pages:
+        compute(given.seeds, out, given.jobs)
+    names = {job: out / job.name for job in plan(given.seeds)}
+    found = {job: path for job, path in names.items() if path.exists()}
+    if not found:
+        print(f"no results in {out}; run without --pages first", file=sys.stderr)
+        return 2
+    print(publish(found, given.docs))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

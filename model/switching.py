@@ -1,0 +1,45 @@
+"""Modes that switch at a point within a step: where that is, and what it means for derivatives."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.system import MAX_STEP, System
+
+SX = ca.SX
+
+
+CLOSE = 1e-10  # of the size of what switches: no step is shortened for less
+
+
+def passed(system: System, end: SX, h: SX) -> list[SX]:
+    """Return how much farther a step of length h that ends in the states `end` goes past each switching point.
+
+    Taken as an error of the step, it makes the step control close in on the point. Where a step begins past it, because an
+    input jumped or a state was set, that counts in proportion to the length: the mode switches after next to no time.
+
+    Source: gear1984 (the control of the step locates a discontinuity).
+    """
+    x, longest = system.vector(list(system.states)), system.symbols[MAX_STEP.name]
+    before = {name: ca.fmax(margin, 0) * (1 - h / longest) for name, margin in system.margins.items()}
+    return [ca.substitute(margin, x, end) - before[name] - CLOSE for name, margin in system.margins.items()]
+
+
+def at_the_point(system: System, end: SX, h: SX) -> SX:
+    """Return the end of a step of length h as it would be if a mode that switches there had switched at its point.
+
+    Since that point a state had the old rate instead of the new one, for the time margin/margin'. The time is next to
+    nothing, but not its derivative by a parameter: derivatives of this end, unlike those of `end`, carry over a switch.
+
+    Source: leine2004 (saltation matrix: jump of the derivative where the right-hand side jumps).
+    """
+    if not system.margins:
+        return end
+    x, f, shift = system.vector(list(system.states)), system.rate_vector(), SX.zeros(end.shape[0])
+    for name, margin in system.margins.items():
+        pace = ca.jtimes(margin, x, f) + ca.jacobian(margin, system.time)
+        late = ca.fmin(ca.fmax(margin, 0) / ca.fmax(pace, 1e-300), h)  # all of the step, if it began past the point
+        for i in range(f.shape[0]):
+            if ca.depends_on(f[i], system.symbols[name]):
+                shift[i] += late * (ca.substitute(f[i], system.symbols[name], system.updates[name]) - f[i])
+    return end + ca.substitute(shift, x, end)

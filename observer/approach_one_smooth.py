@@ -1,0 +1,75 @@
+"""Approach I for an input that is piecewise linear: its derivative is exact, and v the only output that is measured."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Parameter, State
+from bristle.observer import besancon, information, zhang
+from bristle.observer.approach_one import ENTRIES, adapt, estimates, gain_parameters, gain_states, regressor
+from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+
+SX = ca.SX
+STEEPEST = 1e3  # rad/s2; an unlikely estimate of v' does not enter the regressor
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    """Let the observer (6) run with n = 2 on x1 = v, x2 = v' over the sample before the last.
+
+    Of that one both ends of u are known, and with them u' by linear interpolation. The terms of G in x2 at its end are solved
+    for, as in the observer of step 2.
+    Source: dixit2008 eq. (6) and (19)-(22), the second option of Approach I; besancon2004.
+    """
+    p = shop.p
+    f = besancon.filter_of(shop, s)
+    du = (s.u - p.u_before) / s.period
+    x, upsilon = stack(p, "x", 2), stack(p, "upsilon", 2, len(ENTRIES))
+    theta = ca.vertcat(*(p[f"theta_{name}"] for name in ENTRIES))
+    g0 = regressor(p.y_before, _limited(x[1]), p.u_before, du)
+    g1 = regressor(s.y0, SX(0), s.u, du)
+    rate = ca.fmax(theta[0] + ca.fabs(s.y0) * theta[7], 0)  # whose step never divides by zero
+    x = zhang.ahead(f, x, ca.vertcat(0, g0 @ theta) + f.k * p.y_before, ca.vertcat(0, g1 @ theta) + f.k * s.y0, rate)
+    upsilon = f.phi @ upsilon + f.m0[:, 1] @ g0 + f.m1[:, 1] @ regressor(s.y0, _limited(x[1]), s.u, du)
+    theta_new, r = adapt(p, upsilon[0, :].T, s.y0 - x[0], s.period)
+    ready = p.seen > 0  # the first sample has none before it
+    moved = {
+        **unstack("x", x + upsilon @ (theta_new - theta)),
+        **unstack("upsilon", upsilon),
+        **information.write(r),
+        **{f"theta_{name}": theta_new[i] for i, name in enumerate(ENTRIES)},
+    }
+    return Update(
+        next={name: ca.if_else(ready, value, p[name]) for name, value in moved.items()}
+        | {"x0": ca.if_else(ready, moved["x0"], s.y0), "y_before": s.y0, "u_before": s.u, "seen": SX(1)},
+        estimates=estimates(p),
+        signals={"v": p.x0},
+    )
+
+
+def _limited(dv: SX) -> SX:
+    return ca.fmin(ca.fmax(dv, -STEEPEST), STEEPEST)
+
+
+METHOD = Method(
+    "approach_one_smooth",
+    "Approach I for a piecewise linear input: Besancon-Zhang-Hammouri observer of all eight entries",
+    "dixit2008 eq. (6) and (19)-(22)",
+    "y_v",
+    (
+        *(
+            Parameter(f"approach_one_smooth.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", zhang.EQUATION)
+            for i, k in enumerate(besancon.K0, start=1)
+        ),
+        Parameter("approach_one_smooth.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.EQUATION),
+        *gain_parameters("approach_one_smooth", 1.0),
+    ),
+    (
+        *vector_states("x", "1", "state estimate", 2),
+        *vector_states("upsilon", "1", "filtered regressor", 2 * len(ENTRIES)),
+        *gain_states(),
+        State("u_before", "V", "input before the last one"),
+        State("y_before", "rad/s", "velocity before the last one"),
+        State("seen", "1", "1 after the first step"),
+    ),
+    _equations,
+)

@@ -1,0 +1,29 @@
+"""DREM for step 2 from position alone; alpha2 and b known."""
+
+from __future__ import annotations
+
+from bristle.observer import drem, smoothing, zhang
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+BANDWIDTH = 15.0
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    velocity, states = smoothing.smooth(p, s)
+    return Update(states | drem.step(p, velocity, p.alpha2, p.b), *drem.published(p, p.smoother0, p.alpha2))
+
+
+METHOD = Method(
+    "drem_position",
+    "dynamic regressor extension and mixing for step 2 from position; alpha2 and b known",
+    drem.SOURCE,
+    "y_theta",
+    (
+        *zhang.known_parameters("drem_position"),
+        smoothing.parameter("drem_position"),
+        *drem.parameters("drem_position", BANDWIDTH),
+    ),
+    (*smoothing.STATES, *drem.STATES),
+    _equations,
+)

@@ -1,0 +1,79 @@
+"""Least squares in information form, which least-squares methods share: the matrix as states, and its factors.
+
+The information of a row h is h h'; sums of it can neither lose their sign nor, with a prior, wind up, whatever the input.
+Source: ljung1999 section 11.2.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.variables import Namespace, State
+from bristle.observer.method import stack_symmetric, symmetric_states, unstack_symmetric
+
+SX = ca.SX
+FAINT = 1e-12  # share of each diagonal entry that keeps the elimination from dividing by zero
+NOTHING = 1e-150  # an entry as small as this is none
+
+
+def states(order: int) -> tuple[State, ...]:
+    """Declare a symmetric matrix, of which the lower triangle is kept."""
+    return symmetric_states("information", "1", "information matrix", order)
+
+
+def read(p: Namespace, order: int) -> SX:
+    """Return the matrix."""
+    return stack_symmetric(p, "information", order)
+
+
+def write(matrix: SX) -> dict[str, SX]:
+    """Return the next states."""
+    return unstack_symmetric("information", matrix)
+
+
+class Factors:
+    """L D L' of a symmetric matrix without pivoting, each diagonal entry raised by a faint share of itself.
+
+    Where a column is a combination of others, an entry of D would be zero or, by rounding, negative; it stays positive.
+    `shares` tell of each variable how much of it the ones before it do not explain; 0 where there is nothing of it.
+    """
+
+    def __init__(self, matrix: SX) -> None:
+        self.n = n = matrix.shape[0]
+        self.l = [[SX(0)] * n for _ in range(n)]
+        self.d, self.shares = [SX(0)] * n, [SX(0)] * n
+        for j in range(n):
+            scaled = [self.l[j][k] * self.d[k] for k in range(j)]
+            own = matrix[j, j] * (1 + FAINT) + NOTHING
+            self.d[j] = own - sum(self.l[j][k] * scaled[k] for k in range(j))
+            self.shares[j] = ca.if_else(matrix[j, j] > NOTHING, self.d[j] / own, 0)
+            for i in range(j + 1, n):
+                self.l[i][j] = (matrix[i, j] - sum(self.l[i][k] * scaled[k] for k in range(j))) / self.d[j]
+
+    def solve(self, rhs: SX) -> SX:
+        """Return the solution for one right-hand side."""
+        x: list[SX] = []
+        for i in range(self.n):
+            x.append(rhs[i] - sum(self.l[i][k] * x[k] for k in range(i)))
+        x = [x[i] / self.d[i] for i in range(self.n)]
+        for i in reversed(range(self.n)):
+            x[i] = x[i] - sum(self.l[k][i] * x[k] for k in range(i + 1, self.n))
+        return ca.vertcat(*x)
+
+    def regression(self) -> SX:
+        """Return the coefficients that explain the last variable by the others; `d[-1]` is what they leave of it."""
+        last = self.n - 1
+        x = [self.l[last][i] for i in range(last)]
+        for i in reversed(range(last)):
+            x[i] = x[i] - sum(self.l[k][i] * x[k] for k in range(i + 1, last))
+        return ca.vertcat(*x)
+
+    def inverse_diagonal(self) -> SX:
+        """Return the diagonal of the inverse (L^-1)' D^-1 L^-1."""
+        total = []
+        for i in range(self.n):
+            column = [SX(0)] * i + [SX(1)]
+            for j in range(i + 1, self.n):
+                column.append(-sum(self.l[j][k] * column[k] for k in range(i, j)))
+            total.append(sum(column[j] ** 2 / self.d[j] for j in range(i, self.n)))
+        return ca.vertcat(*total)

@@ -1,0 +1,123 @@
+"""The joint filter of servo and friction, which extended Kalman filters share: states and parameters as one vector.
+
+The vector is (theta, v, w) and seven entries that say what the parameters are; only position is measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from bristle.model.basis import BASIS_COUNT, gaussian
+from bristle.model.variables import Parameter
+
+SX = ca.SX
+STATES = 3  # theta, v, w
+ORDER = STATES + 5 + BASIS_COUNT  # alpha2, b, tau, c and one weight more than there are basis functions
+SOURCE = "jazwinski1970 chapter 8"
+PARTS = 4  # of a sample; in one piece the model is off by as much as a minute of an encoder tells of the parameters
+
+
+@dataclass(frozen=True)
+class Servo:
+    """The parameters of the modified model with bristle damping, as expressions of the entries."""
+
+    alpha2: SX
+    b: SX
+    sigma: Sequence[SX]
+    c: SX
+    tau: SX
+
+    def gain(self, v: SX) -> SX:
+        """Return K(v) = sigma0 + sum sigma_i phi_i(v)."""
+        return self.sigma[0] + sum(s * phi for s, phi in zip(self.sigma[1:], gaussian(v), strict=True))
+
+    def friction(self, v: SX, w: SX) -> SX:
+        """Return the friction acceleration w + tau w' + alpha2 v, w' = K(v) v - c |v| w."""
+        return w + self.tau * (self.gain(v) * v - self.c * ca.fabs(v) * w) + self.alpha2 * v
+
+
+def parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare what the filters know of the sensor."""
+    step, most = "step of the position sensor; 0: none", "largest error that counts in full, in standard deviations"
+    return (
+        Parameter(f"{prefix}.resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, step, "dixit2008 section IV-A"),
+        Parameter(f"{prefix}.gate", "g", "1", 3.0, 0.1, 1e6, most, "huber1981"),
+    )
+
+
+def rounding(resolution: SX) -> SX:
+    """Return the variance of a position that is rounded to a grid, evenly distributed; of 1e-6 rad if there is none.
+
+    Source: widrow2008 chapter 1.
+    """
+    return SX(ca.fmax(resolution, 1e-6) ** 2 / 12)
+
+
+def advance(x: SX, servo: Servo, u: SX, h: SX) -> SX:
+    """Advance (theta, v, w) over a sample of held u; accurate to second order.
+
+    w relaxes exactly at the mean velocity, however large c |v| h. What tau w' adds to v over the sample is tau times the
+    change of w.
+    Source: dixit2008 eq. (15) and (17), tau after remark 5; hochbruck2010 section 2 (exponential step).
+    """
+    theta, v, w = ca.vertsplit(x)
+    mean = v + h / 2 * (servo.b * u - servo.friction(v, w))
+    travel = ca.fmax(servo.c * ca.fabs(mean) * h, 1e-9)
+    kept = ca.exp(-travel)
+    w_new = w * kept + h * servo.gain(mean) * mean * (1 - kept) / travel
+    damping = servo.alpha2 * h / 2
+    v_new = (v * (1 - damping) + h * (servo.b * u - (w + w_new) / 2) - servo.tau * (w_new - w)) / (1 + damping)
+    return ca.vertcat(theta + h / 2 * (v + v_new), v_new, w_new)
+
+
+def sample(x: SX, servo: Servo, u: SX, h: SX) -> SX:
+    """Advance (theta, v, w) over a sample in `PARTS` steps."""
+    for _ in range(PARTS):
+        x = advance(x, servo, u, h / PARTS)
+    return x
+
+
+def predict(meaning: Callable[[SX], Servo], z: SX, covariance: SX, u: SX, h: SX) -> tuple[SX, SX]:
+    """Return (z, P) at the end of a sample, without process noise; the entries behind the states stay.
+
+    Source: jazwinski1970 chapter 8 (extended Kalman filter).
+    """
+    symbol = SX.sym("z", ORDER)
+    moved = sample(symbol[:STATES], meaning(symbol[STATES:]), u, h)
+    moved, slope = ca.substitute([moved, ca.jacobian(moved, symbol)], [symbol], [z])
+    crossed = slope @ covariance
+    new = SX(covariance)
+    new[:STATES, STATES:], new[STATES:, :STATES] = crossed[:, STATES:], crossed[:, STATES:].T
+    new[:STATES, :STATES] = crossed @ slope.T
+    return ca.vertcat(moved, z[STATES:]), new
+
+
+def correct(z: SX, covariance: SX, error: SX, variance: SX, gate: SX) -> tuple[SX, SX, SX]:
+    """Return (z, P, squared error over its variance) after a position whose prediction was wrong by `error`.
+
+    An error beyond `gate` standard deviations counts as one of that size at most.
+    Source: jazwinski1970 chapter 8; huber1981 (bounded influence).
+    """
+    expected = covariance[0, 0] + variance
+    size = error**2 / expected
+    gain = covariance[:, 0] / (expected * ca.fmax(1, size / gate**2))
+    return z + gain * error, covariance - gain @ covariance[0, :], size
+
+
+def noisy(covariance: SX, rates: Sequence[SX], h: SX) -> SX:
+    """Return P with what the process noise of each entry adds over a sample."""
+    return covariance + h * ca.diag(ca.vertcat(*rates))
+
+
+def bounded(z: SX, low: dict[int, SX], high: dict[int, SX]) -> SX:
+    """Return z with some entries kept inside their bounds."""
+    new = SX(z)
+    for i, least in low.items():
+        new[i] = ca.fmax(new[i], least)
+    for i, most in high.items():
+        new[i] = ca.fmin(new[i], most)
+    return new

@@ -1,0 +1,56 @@
+"""Step 1 with Kreisselmeier's adaptation, whose gradient is that of all past errors, the older the less."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.linear import Elimination
+from bristle.model.variables import Namespace, Parameter
+from bristle.observer import extension, filtered, rls
+from bristle.observer.bastin_gevers import start_parameters
+from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack
+from bristle.observer.rls import Regression
+
+SX = ca.SX
+SOURCE = "kreisselmeier1977"
+
+
+def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
+    """Advance theta' = -g (Phi theta - Y) over a sample by an implicit Euler step, stable at any gain.
+
+    Phi is positive semidefinite, so that 1 + Ts g Phi needs no pivoting.
+    Source: kreisselmeier1977.
+    """
+    theta = stack(p, "theta", 3)
+    phi, y = extension.extend(p, r.h, r.z, period)
+    gain = period * p.gain
+    change = Elimination(SX.eye(3) + gain * phi).solve(gain * (y - phi @ theta))
+    before = {**extension.write(*extension.read(p, 3)), **unstack("theta", theta)}
+    after = {**extension.write(phi, y), **unstack("theta", theta + change)}
+    return {**r.next, **{name: ca.if_else(r.counts, after[name], before[name]) for name in after}}
+
+
+def parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare forgetting, gain and starts under a method's name."""
+    return (
+        extension.parameter(prefix, 0.02),
+        Parameter(f"{prefix}.gain", "g", "1", 10.0, 0.0, 1e12, "adaptation gain", SOURCE),
+        *start_parameters(prefix, SOURCE),
+    )
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    new = adapt(p, filtered.regression(p, s), s.period)
+    return Update(new, rls.estimates(p), {"v": filtered.velocity(p, stack(p, "theta", 3))})
+
+
+METHOD = Method(
+    "kreisselmeier",
+    "Kreisselmeier observer of alpha2, b and Fc, gated to high speed",
+    SOURCE,
+    "y_v",
+    (*filtered.parameters("kreisselmeier", 20.0), *parameters("kreisselmeier")),
+    (*filtered.STATES, *extension.states(3), *filtered.estimate_states()),
+    _equations,
+)

@@ -1,0 +1,23 @@
+"""Kreisselmeier's law of step 1 on the regression from an encoder."""
+
+from __future__ import annotations
+
+from bristle.observer import extension, filtered, kreisselmeier, rls
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    new = kreisselmeier.adapt(p, rls.regression(p, s), s.period)
+    return Update(new, rls.estimates(p), {"v": p.last_v})
+
+
+METHOD = Method(
+    "kreisselmeier_position",
+    "Kreisselmeier observer of alpha2, b and Fc from position, gated to high speed",
+    kreisselmeier.SOURCE,
+    "y_theta",
+    (*rls.filter_parameters("kreisselmeier_position"), *kreisselmeier.parameters("kreisselmeier_position")),
+    (*rls.FILTER_STATES, *extension.states(3), *filtered.estimate_states()),
+    _equations,
+)

@@ -1,0 +1,26 @@
+"""Luders and Narendra's law of step 1 on the regression from an encoder."""
+
+from __future__ import annotations
+
+from bristle.observer import filtered, luders_narendra, rls
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    new = luders_narendra.adapt(p, rls.regression(p, s), s.period)
+    return Update(new, rls.estimates(p), {"v": p.last_v})
+
+
+METHOD = Method(
+    "luders_narendra_position",
+    "Luders-Narendra observer of alpha2, b and Fc from position, normalised, gated to high speed",
+    luders_narendra.SOURCE,
+    "y_theta",
+    (
+        *rls.filter_parameters("luders_narendra_position", cutoff=50.0, hold_off=0.08),
+        *luders_narendra.parameters("luders_narendra_position", (4.0, 4.0, 8.0)),
+    ),
+    (*rls.FILTER_STATES, *filtered.estimate_states()),
+    _equations,
+)

@@ -1,0 +1,31 @@
+"""The switching observer with least squares for step 2 from position alone; alpha2 and b known."""
+
+from __future__ import annotations
+
+from bristle.observer import martinez_poznyak, smoothing, zhang
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+BANDWIDTH = 10.0  # 1/s; the counts of an encoder are in nu, which has to be averaged for longer
+NOISE = 2.0  # rad/s2
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p = shop.p
+    velocity, states = smoothing.smooth(p, s)
+    step = martinez_poznyak.step(p, velocity, p.alpha2, p.b)
+    return Update(states | step, *martinez_poznyak.published(p, p.alpha2))
+
+
+METHOD = Method(
+    "martinez_poznyak_position",
+    "switching observer with least squares for step 2 from position, after Martinez and Poznyak; alpha2 and b known",
+    martinez_poznyak.SOURCE,
+    "y_theta",
+    (
+        *zhang.known_parameters("martinez_poznyak_position"),
+        smoothing.parameter("martinez_poznyak_position"),
+        *martinez_poznyak.parameters("martinez_poznyak_position", BANDWIDTH, NOISE),
+    ),
+    (*smoothing.STATES, *martinez_poznyak.STATES),
+    _equations,
+)

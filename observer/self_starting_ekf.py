@@ -1,0 +1,280 @@
+"""A joint filter that starts itself, chooses its own noise and starts again when the servo changes; from position alone.
+
+Three things make an extended Kalman filter converge here within seconds, from no start values worth the name:
+
+- coordinates: the friction levels G_i = sigma_i / c in the place of sigma_i, and ln c. Sliding shows the levels whatever c
+  is, and c then has one direction to go;
+- a start by least squares on what has been seen, for alpha2, b and Fc, with the spreads that such a start has;
+- a memory that grows with the time since the start, so that what was learnt from bad linearisations is forgotten, and
+  process noise that fades as it grows.
+
+Where the innovations stay as small as their covariance says, the noise fades further: the model is right. Where they do
+not, position counts less, as in a fit of the whole record: the model is wrong somewhere, and no gain makes it right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+
+from bristle.model.normalised import units
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import information, kalman, rls
+from bristle.observer.kalman import STATES
+from bristle.observer.method import (
+    Method,
+    Sample,
+    Update,
+    Workshop,
+    stack,
+    stack_symmetric,
+    symmetric_states,
+    unstack,
+    unstack_symmetric,
+    vector_states,
+)  # fmt: skip
+
+SX = ca.SX
+NAMES = units("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau")
+GROWING = "ljung1983 chapter 5 (forgetting that fades)"
+ADAPTIVE = "mehra1970"
+CHANGE = "basseville1993 chapter 2"
+MEANS = kalman.ORDER - STATES
+V, W, ALPHA2, B, LEVELS, LN_C, TAU = 1, 2, 3, 4, (5, 6, 7), 8, 9  # places in the vector
+# The start: how much must be known, and how far it is trusted.
+DISTINCT = 0.02  # determinant of the correlations of -v, u and -sgn v
+LONGEST_START = 5.0  # s, of motion, after which it starts in any case
+RIDGE = 1e-3  # share of the information, which shrinks what the start does not show
+LEVEL = (0.1, 2.0)  # bounds of Fc over the rms drive acceleration b u
+LEAST_VISCOUS = 0.05  # of alpha2: acceleration at the rms speed over that of the drive
+SPREAD = {"v": 0.5, "b": 0.2, "alpha2": 0.5}  # sd over rms speed, over b, over Fc at the rms speed; the levels' is Fc
+SMALLEST_LEVEL = 0.01  # of Fc at the start
+LARGEST_LEVEL = (4.0, 10.0)  # of that too: Coulomb friction, and the weights of the basis functions either way
+PASSED = 10.0  # samples in which the presliding distance of the start is passed at the rms speed, at least
+C_REACH, EARLY_C_REACH = 1e3, 10.0  # c stays within this factor of its start; from a c far too large nothing leads back
+LONGEST_TAU = 1.0  # s
+# Noise that follows from the innovations.
+CONSISTENT = 1.05  # mean of squared innovation over its variance, up to which the model counts as right
+FULL_MISFIT = 0.3  # beyond that by this much, the model counts as wrong altogether
+OFF = 2.0  # the mean of late, which scatters more, up to which the model may be right; beyond it by one, it is wrong altogether
+FAINTEST = 1e-5  # share of the process noise that stays when the model is right
+SETTLED = 5.0  # s after a start, from which the innovations are judged
+BEFORE = 2.0  # s: the innovations of late are compared with their mean as it was one to two of these ago
+LOST = (8.0, 1000.0)  # s after a start, and mean innovation, with which it went nowhere
+FIRST_MEMORY = 1.0  # s
+SAME = 100.0  # samples with the same count, at most, that share one rounding error
+FADING = 8  # power of time with which the early noise goes
+DOUBT = 10.0  # s after a start, up to which the model does not count as right whatever the innovations say
+WATCHFUL = 10.0  # s after a start, from which a change is looked for
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Where the filter starts from, once `ready`; `spread` are standard deviations."""
+
+    ready: SX
+    joint: SX
+    spread: SX
+    level: SX
+    speed: SX
+
+
+def _servo(entries: SX) -> kalman.Servo:
+    """Read the parameters from (alpha2, b, G0, G1, G2, ln c, tau)."""
+    alpha2, b, *levels, ln_c, tau = ca.vertsplit(entries)
+    c = ca.exp(ln_c)
+    return kalman.Servo(alpha2, b, [c * level for level in levels], c, tau)
+
+
+def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX) -> _Start:
+    """Solve the least squares of L v' = -alpha2 L v + b L u - Fc L sgn v, and say how far each entry may be off.
+
+    Source: ljung1999 section 11.2; dixit2008 eq. (23).
+    """
+    count = ca.fmax(p.moving + s.period, s.period)
+    factors = information.Factors(seen + RIDGE * ca.diag(ca.diag(seen)))
+    distinct = factors.d[1] * factors.d[2] / ca.fmax(seen[1, 1] * seen[2, 2], 1e-300)
+    alpha2, b, friction = ca.vertsplit(factors.regression())
+    speed = ca.sqrt(seen[0, 0] * s.period / count)
+    drive = ca.fabs(b) * ca.sqrt(seen[1, 1] * s.period / count)
+    level = ca.fmax(ca.fmin(ca.fmax(friction, LEVEL[0] * drive), LEVEL[1] * drive), 1e-12)
+    alpha2 = ca.fmax(alpha2, LEAST_VISCOUS * drive / ca.fmax(speed, 1e-9))
+    ln_c = ca.log(ca.fmin(p.c_start, 1 / (PASSED * ca.fmax(speed, 1e-9) * s.period)))  # beyond it nothing would lead back
+    ln_c = ca.if_else(p.resumes > 0, p[f"mean{LN_C - STATES}"], ln_c)
+    viscous = SPREAD["alpha2"] * level / ca.fmax(speed, 1e-9)
+    joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ln_c, p.tau_start)
+    spread = ca.vertcat(
+        p.resolution, SPREAD["v"] * speed, level, viscous, SPREAD["b"] * ca.fabs(b), level, level, level, p.c_spread, p.tau_spread
+    )
+    enough = ca.logic_or(distinct > DISTINCT, count > LONGEST_START)
+    return _Start(ca.logic_and(count > p.start_time, enough), joint, spread, level, speed)
+
+
+def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
+    """Return (vector, covariance, squared innovation over its variance) after a sample.
+
+    The memory: all of P grows by k h / age, which weights the past by (time / now)^k. It does not grow beyond what a start
+    would give, where nothing is learnt.
+    Source: jazwinski1970 chapter 8; ljung1983 chapter 5; mehra1970 (noise from innovations).
+    """
+    h = s.period
+    z, covariance = kalman.predict(_servo, stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER), s.u, h)
+    prior = stack(p, "prior", kalman.ORDER)
+    known = SX(1)
+    for i in range(STATES, kalman.ORDER):
+        known = ca.logic_and(known, covariance[i, i] <= prior[i] ** 2)
+    memory = ca.fmin(p.age, p.longest_memory) + FIRST_MEMORY
+    covariance = covariance * (1 + ca.if_else(known, p.memory * h / memory, 0))
+    misfit = ca.fmin(ca.fmax(ca.fmax((p.innovation - CONSISTENT) / FULL_MISFIT, p.innovation_late - OFF), 0), 1)
+    early = 1 / (1 + (p.age / p.early_time) ** FADING)
+    doubt = 1 / (1 + (p.age / DOUBT) ** FADING)
+    noise = p.level**2 * (ca.fmax(ca.fmax(misfit, FAINTEST), doubt) + p.early_noise * early)
+    rates = [SX(0)] * kalman.ORDER
+    rates[V], rates[W] = p.noise_v * noise, p.noise_w * noise
+    same = ca.fmin(ca.fmax(p.resolution / ca.fmax(ca.fabs(z[V]) * h, 1e-12), 1), SAME)
+    quantum = kalman.rounding(p.resolution) * same
+    variance = quantum * (1 + p.misfit_noise * misfit + p.early_noise / 10 * early)
+    error = s.y1 + p.resolution / 2 - z[0]
+    z, covariance, size = kalman.correct(z, kalman.noisy(covariance, rates, h), error, variance, p.gate)
+    reach = ca.if_else(p.age < SETTLED, EARLY_C_REACH, C_REACH)
+    most = {LEVELS[0]: LARGEST_LEVEL[0] * p.level, LEVELS[1]: LARGEST_LEVEL[1] * p.level, LEVELS[2]: LARGEST_LEVEL[1] * p.level}
+    low = {ALPHA2: SX(0), LEVELS[0]: SMALLEST_LEVEL * p.level, LN_C: p.ln_c - ca.log(reach), TAU: SX(0)}
+    low |= {place: -each for place, each in most.items() if place not in low}
+    high = {**most, LN_C: p.ln_c + ca.log(reach), TAU: SX(LONGEST_TAU)}
+    return kalman.bounded(z, low, high), covariance, size
+
+
+def _judge(p: Namespace, h: SX, size: SX) -> tuple[dict[str, SX], SX, SX]:
+    """Return (the averages of the innovations, whether the servo has changed, whether the filter is lost).
+
+    The innovations of late are compared with their mean as it was some seconds ago, which a change has not reached yet.
+    Source: basseville1993 chapter 2 (a mean of late against the mean before).
+    """
+    size = ca.fmin(size, 1e9)
+    late = p.innovation_late + h / p.change_window * (size - p.innovation_late)
+    share = ca.if_else(p.age > SETTLED, h / (p.age - SETTLED + FIRST_MEMORY), 0)
+    mean = p.innovation + share * (size - p.innovation)
+    kept = ca.floor(p.age / BEFORE) != ca.floor((p.age + h) / BEFORE)
+    averages = {
+        "innovation": mean,
+        "innovation_late": late,
+        "innovation_kept": ca.if_else(kept, mean, p.innovation_kept),
+        "innovation_before": ca.if_else(kept, p.innovation_kept, p.innovation_before),
+    }
+    changed = ca.logic_and(p.age > WATCHFUL, late > p.change_ratio * ca.fmax(p.innovation_before, 1))
+    lost = ca.logic_and(ca.logic_and(p.age > LOST[0], p.age < WATCHFUL), mean > LOST[1])
+    return averages, changed, lost
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    p, h = shop.p, s.period
+    runs = p.runs > 0
+    r = rls.regression(p, s)
+    row = ca.vertcat(r.h, r.z)
+    seen = information.read(p, 4) + ca.if_else(r.counts, 1, 0) * (row @ row.T)
+    start = _start(p, s, r, seen)
+    z, covariance, size = _filter(p, s)
+    averages, changed, lost = _judge(p, h, size)
+    go = ca.logic_and(ca.logic_not(runs), start.ready)
+
+    def choose(running: SX, starting: SX, waiting: SX) -> SX:
+        return SX(ca.if_else(runs, running, ca.if_else(go, starting, waiting)))
+
+    joint, cov = stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER)
+    follow = ca.vertcat(s.y1, -r.h[0], joint[2:])
+    new = {
+        **r.next,
+        **information.write(ca.if_else(runs, 0, seen)),
+        **unstack("joint", choose(z, start.joint, follow)),
+        **unstack_symmetric("cov", choose(covariance, ca.diag(start.spread**2), cov)),
+        **unstack("prior", choose(stack(p, "prior", kalman.ORDER), start.spread, stack(p, "prior", kalman.ORDER))),
+        **unstack("mean", choose(_averaged(p, z, h), start.joint[STATES:], stack(p, "mean", MEANS))),
+        "level": choose(p.level, start.level, p.level),
+        "ln_c": choose(p.ln_c, start.joint[LN_C], p.ln_c),
+        "runs": ca.if_else(runs, ca.logic_not(ca.logic_or(changed, lost)), go),
+        "resumes": ca.if_else(runs, changed, p.resumes),
+        "starts": p.starts + go,
+        "moving": ca.if_else(runs, 0, p.moving + ca.if_else(r.counts, h, 0)),
+        "age": ca.if_else(runs, p.age + h, 0),
+        **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
+    }
+    return Update(new, _estimates(p), _signals(p), {"joint0": s.y1}, {name: p.starts > 0 for name in NAMES})
+
+
+def _averaged(p: Namespace, z: SX, h: SX) -> SX:
+    """Return the entries averaged: what passes within some hundredths of a second is noise of rounding.
+
+    Source: polyak1992 (averages of estimates).
+    """
+    mean = stack(p, "mean", MEANS)
+    return mean + h / ca.fmax(p.averaging, h) * (z[STATES:] - mean)
+
+
+def _estimates(p: Namespace) -> dict[str, SX]:
+    """Return the parameters; Coulomb friction is the level at high speed, where no basis function is left."""
+    servo = _servo(stack(p, "mean", MEANS))
+    sigma = {f"sigma{i}": each for i, each in enumerate(servo.sigma)}
+    return {"alpha2": servo.alpha2, "b": servo.b, "Fc": servo.sigma[0] / servo.c, **sigma, "c": servo.c, "tau": servo.tau}
+
+
+def _signals(p: Namespace) -> dict[str, SX]:
+    servo = _servo(stack(p, "joint", kalman.ORDER)[STATES:])
+    return {"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": servo.friction(p.joint1, p.joint2)}
+
+
+def parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare the sensor's step, what little is known before the start, and the tuning, none of which belongs to a plant."""
+
+    def own(name: str, symbol: str, unit: str, default: float, low: float, high: float, text: str, source: str) -> Parameter:
+        return Parameter(f"{prefix}.{name}", symbol, unit, default, low, high, text, source)
+
+    return (
+        *kalman.parameters(prefix),
+        *rls.filter_parameters(prefix, cutoff=60.0, hold_off=0.05, vc=math.radians(20.0)),
+        own("start_time", "T0", "s", 0.7, 1e-3, 1e3, "motion that a start is taken from, at least", "ljung1999 section 11.2"),
+        own("c_start", "c", "1/rad", 100.0, 1e-6, 1e9, "start of the estimate of c", "dixit2008 eq. (17)"),
+        own("c_spread", "sd(ln c)", "1", 1.5, 1e-3, 10.0, "how far that start may be off, logarithmically", kalman.SOURCE),
+        own("tau_start", "tau", "s", 0.005, 0.0, 1.0, "start of the estimate of tau", "dixit2008 eq. (11)"),
+        own("tau_spread", "sd(tau)", "s", 0.01, 0.0, 1.0, "how far that start may be off", kalman.SOURCE),
+        own("noise_w", "q_w", "1/s", 6e-4, 0.0, 1e6, "process noise of w over Fc^2", ADAPTIVE),
+        own("noise_v", "q_v", "s", 6e-7, 0.0, 1e6, "process noise of v over Fc^2", ADAPTIVE),
+        own("early_noise", "q_0", "1", 100.0, 0.0, 1e9, "how much larger it is at a start", GROWING),
+        own("early_time", "T_q", "s", 2.0, 1e-3, 1e3, "how long", GROWING),
+        own("misfit_noise", "r_m", "1", 100.0, 0.0, 1e9, "how much less a position counts where the model is wrong", ADAPTIVE),
+        own("memory", "k", "1", 1.0, 0.0, 10.0, "weight of the past: (time since the start / now)^k", GROWING),
+        own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
+        own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
+        own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE),
+        own("change_ratio", "rho", "1", 1e4, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
+    )
+
+
+METHOD = Method(
+    "self_starting_ekf",
+    "joint extended Kalman filter of all parameters from position: starts itself, and again when the servo changes",
+    "jazwinski1970 chapter 8 with the model of dixit2008 eq. (15)-(17)",
+    "y_theta",
+    parameters("self_starting_ekf"),
+    (
+        *rls.FILTER_STATES,
+        *information.states(4),
+        *vector_states("joint", "1", "theta, v, w, alpha2, b, G0, G1, G2, ln c, tau", kalman.ORDER),
+        *symmetric_states("cov", "1", "their covariance", kalman.ORDER),
+        *vector_states("prior", "1", "their standard deviations at the start", kalman.ORDER),
+        *vector_states("mean", "1", "averages of alpha2, b, G0, G1, G2, ln c, tau", MEANS),
+        State("level", "rad/s2", "Coulomb friction at the start"),
+        State("ln_c", "1", "ln c at the start"),
+        State("runs", "1", "1 while the filter runs, 0 while a start is looked for"),
+        State("resumes", "1", "1 if what comes next starts with the c there was"),
+        State("starts", "1", "how often it has started"),
+        State("moving", "s", "motion seen since a start is looked for"),
+        State("age", "s", "time since the start"),
+        State("innovation", "1", "mean squared innovation over its variance", initial=1.0),
+        State("innovation_late", "1", "the same, of late", initial=1.0),
+        State("innovation_kept", "1", "the first, as it was less than two seconds ago", initial=1.0),
+        State("innovation_before", "1", "the first, as it was two seconds before that", initial=1.0),
+    ),
+    _equations,
+)

@@ -1,0 +1,30 @@
+"""Approach I, filtered: recursive least squares of all parameters at once from the velocity, without a start."""
+
+from __future__ import annotations
+
+from bristle.observer import swapping
+from bristle.observer.method import Method, Sample, Update, Workshop
+
+
+def _equations(shop: Workshop, s: Sample) -> Update:
+    """Let the filters run on the velocity, linear between samples, and on the held input.
+
+    Source: dixit2008 eq. (20)-(22).
+    """
+    start, end = swapping.signals(s.u, s.y0), swapping.signals(s.u, s.y1)
+    return Update(
+        next=swapping.step(shop, s, start, end),
+        estimates=swapping.estimates(shop.p),
+        valid=swapping.valid(shop.p),
+    )
+
+
+METHOD = Method(
+    "swapped",
+    "filtered Approach I: least squares of eight entries, six of them free, without differentiation",
+    "dixit2008 eq. (20)-(22)",
+    "y_v",
+    swapping.parameters("swapped", 20.0),
+    swapping.STATES,
+    _equations,
+)

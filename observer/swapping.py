@@ -1,0 +1,134 @@
+"""Approach I without differentiators: the equation of v'' filtered, linear in eight entries; shared by both sensors.
+
+v'' = -alpha2 v' + b u' - K(v) v + c |v| (b u - alpha2 v - v') follows from (15) and (17), and |v| v' = (v |v| / 2)'. Every
+term is a derivative of something known, so that after a filter L nothing is left to differentiate:
+    s^2 L v = [-s L v, s L u, -L v, -L phi1 v, -L phi2 v, L |v| u, -L v |v|, -s L v |v| / 2] theta,
+    theta = [alpha2, b, sigma0, sigma1, sigma2, c b, c alpha2, c].
+Source: dixit2008 eq. (20)-(22); filtering as in kreisselmeier1977.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from bristle.model.basis import gaussian
+from bristle.model.normalised import units
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import information, zhang
+from bristle.observer.method import Sample, Workshop, stack, unstack, vector_states
+
+SX = ca.SX
+EQUATION = "dixit2008 eq. (20)-(22)"
+NAMES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
+SIGNALS = 6  # v, u, phi1 v, phi2 v, |v| u, v |v|
+ENTRIES = 8
+ROW = ENTRIES + 1  # the regressor, and what it explains behind it
+FORGOTTEN = 10.0  # filter time constants after which what was before the first sample no longer counts
+LOWEST = (0.0, -1e6, 1.0, -1e9, -1e9, 1.0)  # projection, as in zhang.py; alpha2 is not negative either
+
+
+def signals(u: SX, v: SX) -> SX:
+    """Return what is filtered, as a row."""
+    phi = gaussian(v)
+    return ca.horzcat(v, u, *(shape * v for shape in phi), ca.fabs(v) * u, ca.fabs(v) * v)
+
+
+def advance(shop: Workshop, s: Sample, start: SX, end: SX) -> tuple[SX, SX]:
+    """Advance L = 1/(s + a)^2 on all signals over a sample, and return (its states, [regressor, s^2 L v]).
+
+    Every signal goes linearly from `start` to `end`, v like what is made of it: errors of second order, which largely cancel as
+    long as all are held alike. A held u, which starts and ends a sample with the same value, is exact.
+    """
+    p = shop.p
+    f = zhang.make_filter(shop, SX([2.0, 1.0]), p.cutoff, s.period)
+    x = f.phi @ stack(p, "filtered", 2, SIGNALS) + f.m0[:, 1] @ start + f.m1[:, 1] @ end
+    once, k1, k2 = x[1, :] - f.k[0] * x[0, :], f.k[0], f.k[1]  # x' = [x2 - k1 x1, f - k2 x1], so that s L is this
+    v, _, phi1, phi2, vu, vv = ca.horzsplit(x[0, :])
+    twice = end[0] - k2 * v - k1 * once[0]
+    return x, ca.horzcat(-once[0], once[1], -v, -phi1, -phi2, vu, -vv, -once[5] / 2, twice)
+
+
+def estimate(r: SX) -> tuple[SX, SX, SX, SX]:
+    """Return (six estimates, diagonal of their inverse information, sum of squares left unexplained, least share of an entry).
+
+    The eight entries follow linearly, from no start. c is the last of them; c b and c alpha2 are then not thrown away: one
+    Gauss-Newton step from the six takes the entries g = [.., c b, c alpha2, c] to the smallest sum of squares, in which each
+    of the eight counts by its information.
+    Source: dixit2008 eq. (22); ljung1999 section 10.2 (Gauss-Newton).
+    """
+    eight = information.Factors(r)
+    theta = eight.regression()
+    alpha2, b, c = theta[0], theta[1], theta[7]
+    slope = SX(ENTRIES, len(NAMES))  # of g by the six
+    for i in range(5):
+        slope[i, i] = 1
+    slope[5, 1] = slope[6, 0] = c
+    slope[5, 5], slope[6, 5], slope[7, 5] = b, alpha2, 1
+    weighted = r[:ENTRIES, :ENTRIES] @ slope
+    six = information.Factors(slope.T @ weighted)
+    inconsistent = weighted[5, :].T * (theta[5] - c * b) + weighted[6, :].T * (theta[6] - c * alpha2)
+    least = ca.mmin(ca.vertcat(*eight.shares[:ENTRIES]))
+    return ca.vertcat(theta[:5], c) + six.solve(inconsistent), six.inverse_diagonal(), eight.d[-1], least
+
+
+def step(shop: Workshop, s: Sample, start: SX, end: SX) -> dict[str, SX]:
+    """Return the next states for signals that go from `start` to `end`.
+
+    Errors of the rows of a filter with corner a are alike over 2/a, so that not every sample is a new observation: the
+    variance of an estimate is that of as many fewer. Where no noise tells that the entries are not excited, their shares do.
+    """
+    p = shop.p
+    x, row = advance(shop, s, start, end)
+    counts = p.samples * s.period * p.cutoff > FORGOTTEN
+    memory = ca.exp(-s.period / p.memory)
+    before = information.read(p, ROW)
+    r = ca.if_else(counts, memory * before + row.T @ row, before)
+    rows = ca.if_else(counts, memory * p.rows + 1, p.rows)
+    six, inverse, left, least = estimate(r)
+    free = rows * p.cutoff * s.period / 2 - ENTRIES  # observations beyond the unknowns
+    variance = left * inverse / ca.fmax(free, 1e-9)
+    kept = ca.fmin(ca.fmax(six, ca.vertcat(*LOWEST)), 1e9)
+    excited = ca.logic_and(free > 0, least > p.excitation)
+    sharp = ca.logic_and(excited, variance < (p.precision * kept) ** 2)
+    return {
+        **unstack("filtered", x),
+        **information.write(r),
+        "rows": rows,
+        **{f"theta_{name}": kept[i] for i, name in enumerate(NAMES)},
+        **{f"sharp_{name}": sharp[i] for i, name in enumerate(NAMES)},
+    }
+
+
+def estimates(p: Namespace) -> dict[str, SX]:
+    """Return the estimates by name; Fc is what sigma0 and c make of it at high speed, as in (18)."""
+    return {name: p[f"theta_{name}"] for name in NAMES} | {"Fc": p.theta_sigma0 / ca.fmax(p.theta_c, 1.0)}
+
+
+def valid(p: Namespace) -> dict[str, SX]:
+    """Return which estimates are known well enough to be published."""
+    return {name: p[f"sharp_{name}"] for name in NAMES} | {"Fc": p.sharp_sigma0 * p.sharp_c}
+
+
+def parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
+    """Declare filter, memory and the precision asked for under a method's name."""
+    return (
+        Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 0.1, 1e3, "corner of the filter L, a double pole", EQUATION),
+        Parameter(f"{prefix}.memory", "T", "s", 100.0, 0.1, 1e6, "time over which data is forgotten", "ljung1999 section 11.2"),
+        Parameter(
+            f"{prefix}.excitation", "e", "1", 1e-9, 0.0, 1.0,
+            "share of each entry that the others must leave unexplained", "ljung1999 section 13.2"
+        ),
+        Parameter(
+            f"{prefix}.precision", "r", "1", 0.1, 0.0, 1e3,
+            "standard error over estimate up to which an estimate is valid", "ljung1999 section 9.6"
+        ),
+    )
+
+
+STATES = (
+    *vector_states("filtered", "1", "filtered signal", 2 * SIGNALS),
+    *information.states(ROW),
+    State("rows", "1", "rows in the information matrix"),
+    *(State(f"theta_{name}", unit, f"estimate of {name}") for name, unit in NAMES.items()),
+    *(State(f"sharp_{name}", "1", f"1 where {name} is known well enough") for name in NAMES),
+)
