@@ -147,7 +147,7 @@ def upper(p: Namespace, e: Equation, steady: SX) -> tuple[SX, SX, SX]:
     whole = widest(p)
 
     def column(end: str, regions: list[Interval]) -> SX:
-        return ca.vertcat(*(getattr(each, end) for each in regions))
+        return SX(ca.vertcat(*(getattr(each, end) for each in regions)))
 
     lo, hi = column("lo", before), column("hi", before)
     new_lo, new_hi = column("lo", left), column("hi", left)

@@ -28,7 +28,7 @@ def means(s: Sample, alpha2: SX, b: SX) -> SX:
     Those of v' and of |v| v' are differences, which are exact.
     Source: dixit2008 eq. (15) and (16).
     """
-    springs = [(f0 * s.y0 + f1 * s.y1) / 2 for f0, f1 in zip([1, *gaussian(s.y0)], [1, *gaussian(s.y1)], strict=True)]
+    springs = [(f0 * s.y0 + f1 * s.y1) / 2 for f0, f1 in zip([SX(1), *gaussian(s.y0)], [SX(1), *gaussian(s.y1)], strict=True)]
     area0, area1 = s.y0 * ca.fabs(s.y0), s.y1 * ca.fabs(s.y1)
     speed = (ca.fabs(s.y0) + ca.fabs(s.y1)) / 2
     w = b * s.u - alpha2 * springs[0] - (s.y1 - s.y0) / s.period
@@ -65,10 +65,10 @@ def mix(phi: SX, y: SX) -> tuple[SX, SX]:
 
 def _minors(matrix: SX, rows: list[int]) -> dict[tuple[int, ...], SX]:
     """Return the determinants of the rows by the columns they keep, each expanded along a row in those of the rows below."""
-    found = {(): SX(1)}
+    found: dict[tuple[int, ...], SX] = {(): SX(1)}
     for k, i in enumerate(reversed(rows), start=1):
         found = {
-            columns: sum((-1) ** j * matrix[i, c] * found[_without(columns, j)] for j, c in enumerate(columns))
+            columns: SX(sum((-1) ** j * matrix[i, c] * found[_without(columns, j)] for j, c in enumerate(columns)))
             for columns in combinations(range(matrix.shape[1]), k)
         }
     return found

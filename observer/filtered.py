@@ -39,7 +39,7 @@ def regression(p: Namespace, s: Sample) -> Regression:
 def velocity(p: Namespace, theta: SX) -> SX:
     """Return the observer's velocity x0 + F' theta / a, with x0 = v - z / a the measured velocity after the filter."""
     filtered = stack(p, "filtered", 4)
-    return p.last_y + (ca.dot(filtered[1:], theta) - filtered[0]) / p.cutoff
+    return SX(p.last_y + (ca.dot(filtered[1:], theta) - filtered[0]) / p.cutoff)
 
 
 def estimate_states() -> tuple[State, ...]:

@@ -74,6 +74,6 @@ class Factors:
         for i in range(self.n):
             column = [SX(0)] * i + [SX(1)]
             for j in range(i + 1, self.n):
-                column.append(-sum(self.l[j][k] * column[k] for k in range(i, j)))
+                column.append(SX(-sum(self.l[j][k] * column[k] for k in range(i, j))))
             total.append(sum(column[j] ** 2 / self.d[j] for j in range(i, self.n)))
         return ca.vertcat(*total)

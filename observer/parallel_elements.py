@@ -36,7 +36,7 @@ LARGEST = ENTRIES * 1e8  # size that forgetting may give the covariance
 
 
 def _distances(p: Namespace) -> SX:
-    return ca.vertcat(*(p[f"c{i}"] for i in range(1, len(GRID) + 1)))
+    return SX(ca.vertcat(*(p[f"c{i}"] for i in range(1, len(GRID) + 1))))
 
 
 def _relaxed(p: Namespace, s: Sample) -> SX:

@@ -173,7 +173,7 @@ def scale_parameters(prefix: str, source: str = "zhang2002") -> tuple[Parameter,
 
 def scales(p: Namespace) -> SX:
     """Return the sizes expected of the parameters."""
-    return ca.vertcat(*(p[f"{name}_scale"] for name in NAMES))
+    return SX(ca.vertcat(*(p[f"{name}_scale"] for name in NAMES)))
 
 
 def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -> tuple[Parameter, ...]:
