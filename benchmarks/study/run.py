@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -38,6 +39,7 @@ STARTS = 5  # on each record, so that 24 records make more than a hundred
 WORK: dict[str, Callable[[str, int, int], Any]] = {
     "record": jobs.whole,
     "best": jobs.best_alone,
+    "bound": jobs.against_the_bound,
     "bodies": jobs.two_bodies,
     "change": jobs.after_a_change,
     "starts": partial(jobs.from_spread_starts, runs=STARTS),
@@ -66,7 +68,10 @@ def plan(seeds: int) -> Iterator[Job]:
     """Yield all jobs, the longest first. The best method gets as many records again, which no other one has seen."""
     first, again = range(1, seeds + 1), range(seeds + 1, 2 * seeds + 1)
     known = tuple(TRUE)
-    kinds = (("record", STUDIED, first), ("best", STUDIED, again), ("starts", known, first), ("change", known, (*first, *again)))
+    kinds = (
+        ("record", STUDIED, first), ("best", STUDIED, again), ("starts", known, first), ("change", known, (*first, *again)),
+        ("bound", known, (*first, *again)),
+    )  # fmt: skip
     for kind, plants, numbers in kinds:
         yield from (Job(kind, plant, order, seed) for seed in numbers for plant in plants for order in ORDERS)
     yield from (Job("bodies", "Z", 1, seed) for seed in first)
@@ -74,8 +79,6 @@ def plan(seeds: int) -> Iterator[Job]:
 
 def results_folder(root: Path) -> Path:
     """Return the folder for results of exactly these observers: changed ones are computed anew."""
-    import hashlib
-
     digest = hashlib.sha256(repr(fingerprint(observer_program())).encode()).hexdigest()[:12]
     return root / digest
 
