@@ -221,7 +221,7 @@ def goals(results: Results) -> str:
     for plant in WITH_TRUTH:
         for second in BOUNDS:
             reached = two(efficiency(results, plant, f"{second:g}"))
-            rows.append([f"{plant}: rms error over the Cramer-Rao bound at {second:g} s, of the six parameters", reached, "aim: 3", "-"])
+            rows.append([f"{plant}: rms error over the Cramer-Rao bound at {second:g} s, by parameter", reached, "aim: 3", "-"])
     return table(["", "median / worst", "goal", "missed, 95 % bound"], rows)
 
 
