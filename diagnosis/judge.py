@@ -22,7 +22,7 @@ CONTENDER = 0.2  # share of the best gain from which a candidate is refitted und
 SIZE = 1.2  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
-DOUBTLESS, AGREED = 10.0, 8.0  # times the null's level and nats on segments kept from the search, three of them at least:
+DOUBTLESS, AGREED = 10.0, 6.0  # times the null's level and nats on segments kept from the search, two of them at least:
 # a gain beyond doubt, whatever a few segments make of the mean square (of 240 controls none gained 4.4 times the level, and
 # none of those beyond 1.6 times any nat on segments kept from the search)
 CLEAR = 3.0  # times the null's level: from there on the segments where a local effect acts say how large it is (controls: 2.2)

@@ -21,14 +21,14 @@ SHARES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # of the time that a stop
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return stops on either side: those that explain most of what is left, and one that is reached often."""
+    """Return stops on either side that explain most of what is left, and one each that is reached often, and hardly ever."""
     starts: list[dict[str, float]] = []
     for name, side in (("upper", 1.0), ("lower", -1.0)):
         edges = [float(np.quantile(side * e.theta, 1 - share)) for share in SHARES]
-        best = e.best(edges, lambda edge, side=side: _press(e, side, edge), 2)
-        for edge, (found,) in (*best, (edges[0], e.regress(_press(e, side, edges[0]))[0])):
+        found = e.best(edges, lambda edge, side=side: _press(e, side, edge), len(edges))
+        for edge, (stiffness,) in (each for i, each in enumerate(found) if i < 2 or each[0] in (edges[0], edges[-2])):
             depth = max(float(np.max(side * e.theta)) - edge, 1e-9)
-            starts.append({"stiffness": max(float(found), 0.1 * e.level / depth), name: side * edge})
+            starts.append({"stiffness": max(float(stiffness), 0.1 * e.level / depth), name: side * edge})
     return starts
 
 
