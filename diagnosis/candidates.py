@@ -153,6 +153,17 @@ def starts(name: str, e: Evidence) -> list[dict[str, float]]:
     return make(e)
 
 
+def _standing(servo: Servo, name: str, fit: Fit) -> list[dict[str, float]]:
+    """Return the bristles that a servo of rigid friction has, for an effect that takes their place.
+
+    They have bent as far as they may to make up for what is missing: no start from data is as near.
+    """
+    if name not in ELASTIC or not servo.rigid:
+        return []
+    own = [p.name.removeprefix(f"{name}.") for p in find_effect(name).parameters]
+    return [{short: fit.values[f"{RIGID}.{short}"] for short in own}]
+
+
 def explore(
     problem: Problem,
     servo: Servo,
@@ -174,7 +185,7 @@ def explore(
         return Candidate(name, None, refused=str(error))
     defaults = {p.name: p.default for p in find_effect(name).parameters} | idle(name)
     trials, banks, own = [], [], servo.own(name)
-    for start in starts(name, e):
+    for start in (*starts(name, e), *_standing(servo, name, fit)):
         free = freedom(name, start, servo.limits)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
         values |= {f.name: f.inside(values[f.name]) for f in free}
@@ -220,22 +231,26 @@ def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Calla
     return replace(candidate, fit=rescored(quiet(fit), fit))
 
 
+def rugged(fit: Fit, effects: Sequence[str]) -> list[Free]:
+    """Return the free parameters of effects that switch."""
+    return [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
+
+
 def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str], spreads: Sequence[float] = SPREADS) -> Fit:
     """Refit from the best of values around where a fit stands, as long as that helps, for the effects that need it.
 
     What switches, such as a contact, does so at other times as soon as a parameter moves: the likelihood has many small
     maxima, at which steps along derivatives end.
     """
-    own = [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
+    own = rugged(fit, effects)
     if not own:
         return fit
-    times = {p.name for name in effects for p in find_effect(name).parameters if p.unit == "s" and p.minimum < 0}
     rng = np.random.default_rng(1)
     for spread in spreads:
         problem = quiet(fit)
         fit = best = rescored(problem, fit)
         for step in spread * rng.standard_normal((TRIES * len(own), len(own))):
-            near = {f.name: f.inside(_beside(best.values[f.name], d, f.name in times)) for f, d in zip(own, step, strict=True)}
+            near = {f.name: f.inside(beside(f.name, best.values[f.name], d)) for f, d in zip(own, step, strict=True)}
             trial = evaluate(problem, fit.simulator, fit.free, {**best.values, **near}, best.starts)
             best = max((best, trial), key=lambda each: each.total)
         new = max((best, rescored(problem, _refitted(best, quiet, ITERATIONS))), key=lambda each: each.total)
@@ -250,9 +265,13 @@ def _refitted(fit: Fit, quiet: Callable[[Fit], Problem], iterations: int) -> Fit
     return rescored(quiet(done), done)
 
 
-def _beside(value: float, step: float, time: bool) -> float:
-    """Return a value some way off: a moment by so many seconds, anything else by a factor."""
-    return value + step if time else value * float(np.exp(step))
+def beside(name: str, value: float, step: float) -> float:
+    """Return the value of an effect's parameter some way off: a moment by so many seconds, anything else by a factor."""
+    return value + step if _is_moment(name) else value * float(np.exp(step))
+
+
+def _is_moment(name: str) -> bool:
+    return any(p.name == name and p.unit == "s" and p.minimum < 0 for p in find_effect(name.split(".")[0]).parameters)
 
 
 def follow(problem: Problem, candidate: Candidate) -> Candidate:

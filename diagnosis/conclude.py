@@ -39,7 +39,7 @@ def conclude(
     gap = gap_between(model, bench, base, final)
     left = remains(after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final))
     verdict = "named" if named else unnamed(last, bench.narrow, left)
-    intervals = estimates(model, whole)
+    intervals = estimates(model, whole, final.problem.only(bench.segments.judged))
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
         answer.Named(

@@ -154,12 +154,17 @@ def _tested(bench: Bench, held: Problem, without: _Without, candidate: Candidate
         size = max(size, acting_fall(before, after))
     kept = squares(old, held.judged), squares(new, held.judged)
     agreed = _clipped(gains, MARK)
-    sure = found > DOUBTLESS * level and agreed > AGREED
+    sure = beyond_doubt(found, level, agreed)
     like = found * len(gains) / max(int(np.count_nonzero(bench.train)), 1)
     least = min(SHOWN * like - LOSS, RATTLE if effect.coupling else ENOUGH)
     proven = bool(_clipped(gains, WIDE_MARK) > (-LOSS - CEDED * found if effect.local else least))
-    helps = sure or effect.local or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > HELP
-    return Test(size, agreed, sure or size >= SIZE, proven and helps)
+    helps = effect.local or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > HELP
+    return Test(size, agreed, sure or size >= SIZE, sure or (proven and helps))
+
+
+def beyond_doubt(gain: float, level: float, agreed: float) -> bool:
+    """True if a gain is far above what chance gives (`level`) and segments kept from the search agree (all in nats)."""
+    return gain > DOUBTLESS * level and agreed > AGREED
 
 
 def _clipped(gains: Array, most: float) -> float:

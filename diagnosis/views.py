@@ -191,7 +191,7 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     found = {view: _predicted(lens, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
     ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
-    highest = _highest(lens, m, rough, live, signs)
+    highest = line_p(m.time[_middle(lens, rough)].reshape(rough.shape)[live], rough[live], signs)
     ps["tone"] = max(ps["tone"][0], highest), max(ps["tone"][1], highest)
     whole = float(np.square(lens.plain(lens.rest[live][:, :, None], live)).mean())
     result = []
@@ -201,10 +201,12 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     return [*sorted(result, key=lambda each: -each.share), _outbreaks(lens, m, live)]
 
 
-def _highest(lens: Lens, m: Motion, rough: Array, live: NDArray[np.int_], signs: Array) -> float:
-    """Return how often the highest line of the spectrum is as high when segments get random signs; the first are the true ones."""
-    time = m.time[_middle(lens, rough)].reshape(rough.shape)[live]
-    lines = np.array([spectra(time, rough[live], each[None])[1].max() for each in signs])
+def line_p(time: Array, rough: Array, signs: Array) -> float:
+    """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
+
+    Each draw finds its own frequency, as the data did. Parameters as of `spectra`.
+    """
+    lines = np.array([spectra(time, rough, each[None])[1].max() for each in signs])
     return chance(lines[1:], lines[0])
 
 
