@@ -155,7 +155,7 @@ def starts(name: str, e: Evidence) -> list[dict[str, float]]:
     return make(e)
 
 
-def _standing(servo: Servo, name: str, fit: Fit) -> list[dict[str, float]]:
+def standing(servo: Servo, name: str, fit: Fit) -> list[dict[str, float]]:
     """Return the bristles that a servo of rigid friction has, for an effect that takes their place.
 
     They have bent as far as they may to make up for what is missing: no start from data is as near.
@@ -187,7 +187,7 @@ def explore(
         return Candidate(name, None, refused=str(error))
     defaults = {p.name: p.default for p in find_effect(name).parameters} | idle(name)
     trials, banks, own = [], [], servo.own(name)
-    for start in (*starts(name, e), *_standing(servo, name, fit)):
+    for start in (*starts(name, e), *standing(servo, name, fit)):
         free = freedom(name, start, servo.limits)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
         values |= {f.name: f.inside(values[f.name]) for f in free}

@@ -184,7 +184,7 @@ def mends_form(bench: Bench, stage: Stage, best: Candidate) -> bool:
     return any(is_form(periods, wave) for wave in waves if wave is not None)
 
 
-def _worth_adding(verdict: Verdict, first: float) -> bool:
+def worth_adding(verdict: Verdict, first: float) -> bool:
     """True if a further effect is more than a mend of the form of what was added; `first` is the gain of the first [nats].
 
     Another effect lowers much of what is left, on segments kept from the search too; what mends a form does so in places.
@@ -212,7 +212,7 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
             small = "of no help on segments kept from the search" if verdict.large else "certain but small"
             rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}", ties=())
             break
-        if stage is not base and (mends_form(bench, stage, verdict.best) or not _worth_adding(verdict, rounds[0].gain)):
+        if stage is not base and (mends_form(bench, stage, verdict.best) or not worth_adding(verdict, rounds[0].gain)):
             mends = f"'{verdict.best.name}' may only mend the form of what was added"
             rounds[-1] = replace(verdict, decision=mends, ties=())
             break
