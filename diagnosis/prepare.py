@@ -27,7 +27,7 @@ STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
 FALLEN = 0.25  # of the top speed, but for rare ones: up to there a Stribeck curve must have fallen
-EDGE = 0.1  # of the time, at either end, in which no step is looked for
+EDGE = 0.05  # of the time, at either end, in which no step is looked for; of speeds, that are rare
 
 
 def bench_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT) -> Bench:
@@ -84,7 +84,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
         "hard_stop.upper": (middle, math.inf),
         "hard_stop.lower": (-math.inf, middle),
         "saturation.limit": (float(least_u), math.inf),
-        "stribeck.speed": (0.0, FALLEN * float(np.quantile(np.abs(bench.motion.v), 1 - EDGE / 2))),
+        "stribeck.speed": (0.0, FALLEN * float(np.quantile(np.abs(bench.motion.v), 1 - EDGE))),
         **{name: (least, math.inf) for name in periodic},
     }
 
