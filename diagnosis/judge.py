@@ -24,7 +24,7 @@ ODDS = 6.0  # nats between two candidates that keep them apart
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
 DOUBTLESS, AGREED = 10.0, 6.0  # times the null's level and nats on segments kept from the search, two of them at least:
 # a gain beyond doubt, whatever a few segments make of the mean square (of 240 controls none gained 4.4 times the level, and
-# none of those beyond 1.6 times any nat on segments kept from the search)
+# none of those beyond 1.8 times any nat on segments kept from the search)
 CLEAR = 3.0  # times the null's level: from there on the segments where a local effect acts say how large it is (controls: 2.2)
 CLOSE = 2.0  # standard errors that a candidate may be behind to take the place of a best one that does not hold
 RATIO = 3.3  # nats that a further parameter must gain

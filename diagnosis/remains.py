@@ -14,7 +14,7 @@ VAIN = 0.9  # of the error before: a name that leaves more on the stretches kept
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
 SUREST = 0.001  # p that no draw reaches: where nothing is named, a share of OTHER is enough then (1 more control of 240 is
-# flagged, 8 more of 240 records with an effect of no catalogue)
+# flagged, 7 more of 240 records with an effect of no catalogue)
 ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there
 
 

@@ -29,7 +29,7 @@ HINT = 0.05  # p of a view that calls for another round
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
 MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise most after the first steps
 PLAIN = 1.6  # a further effect lowers the error so, and shows anything on segments kept from the search or is local (of effects
-# that were not there and gained `CLEAR` times the level, all but two lowered it by less than 1.5),
+# that were not there, gained `CLEAR` times the level and were no wave's form, one lowered it by 1.9, the others by less than 1.5),
 MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
 MUCH, AGAIN = 1.5, 15.0  # or so, or gains this share, and gains so many nats on segments kept from the search
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
