@@ -49,12 +49,17 @@ class Bench:
     @property
     def train(self) -> Mask:
         """Segments that the search may see."""
-        return np.asarray(self.segments.judged & (self.segments.block % HELD != HELD - 1))
+        return np.asarray(self.segments.judged & ~self.held)
 
     @property
     def held(self) -> Mask:
-        """Segments kept from the search."""
-        return np.asarray(self.segments.judged & (self.segments.block % HELD == HELD - 1))
+        """Segments kept from the search: none with an end of the range, for what begins there may show nowhere else."""
+        m = self.motion
+        judged = np.repeat(self.segments.judged, len(m.theta) // len(self.segments.judged))
+        ends = [int(np.argmax(np.where(judged, side * x, -np.inf))) for x in (m.theta, m.u) for side in (1, -1)]
+        free = np.ones(len(self.segments.judged), dtype=bool)
+        free[np.array(ends) * len(free) // len(m.theta)] = False
+        return np.asarray(self.segments.judged & (self.segments.block % HELD == HELD - 1) & free)
 
     def problem(self, noise: Noise, judged: Mask) -> Problem:
         """Return a problem over these segments."""

@@ -21,7 +21,7 @@ from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import group, views_of
-from bristle.diagnosis.size import mean_square
+from bristle.diagnosis.size import fall, mean_square, squares
 from bristle.diagnosis.views import Share, residual_map
 
 MAPS = 6  # views whose residual is drawn
@@ -37,9 +37,9 @@ def conclude(
     ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
     named = final.servo.effects[len(model.effects) :]
     gap = gap_between(model, bench, base, final)
-    left = remains(after, final.fit.values, named, gap, bench.turn)
+    left = remains(after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final))
     verdict = "named" if named else unnamed(last, bench.narrow, left)
-    intervals = estimates(model, whole)
+    intervals = estimates(model, whole, final.problem.only(bench.segments.judged))
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
         answer.Named(
@@ -164,6 +164,11 @@ def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer
     alone = float(np.mean(floor)) / bench.segments.bins
     unit = model.output_unit
     return answer.Gap(before, after, min(alone, after), f"({unit})2")
+
+
+def fell_between(bench: Bench, base: Stage, final: Stage) -> float:
+    """Return the factor by which the error fell over the segments that were kept from the search."""
+    return fall(squares(base.fit, bench.held), squares(final.fit, bench.held))
 
 
 def _round(v: Verdict) -> answer.Round:

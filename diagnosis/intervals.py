@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
-from bristle.diagnosis.candidates import RIGID
-from bristle.diagnosis.fit import Fit
+from bristle.diagnosis.candidates import RIGID, SPREADS, beside, rugged
+from bristle.diagnosis.fit import Fit, Free, Problem, evaluate
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -17,6 +17,8 @@ from bristle.plant.effects import effects as all_effects
 Array = NDArray[np.float64]
 
 WIDER, WIDER_AT_EDGES = 2.0, 5.0  # than what the spread of scores gives for an interval
+TRIALS = 6  # values around the fit for each coefficient of the parabola that stands for a likelihood with many maxima
+MOST = 1.0  # a factor of e, or a second: half of the widest interval that it can give
 
 
 def covariance(fit: Fit) -> Array:
@@ -30,21 +32,57 @@ def covariance(fit: Fit) -> Array:
     return np.asarray(inverse @ (scores.T @ scores) @ inverse * (n + len(fit.free)) / n)
 
 
-def estimates(model: Model, fit: Fit) -> dict[str, answer.Estimate]:
-    """Return the free parameters with their 95 % intervals, as wide as development records showed that they must be."""
+def reach(problem: Problem, fit: Fit, own: list[Free]) -> dict[str, float]:
+    """Return half the width of the intervals of parameters of effects that switch, on the scale that `beside` moves them on.
+
+    Their likelihood is full of small maxima, at any of which a fit may end; a derivative at one of them says nothing of the
+    others. So a parabola is laid through the likelihood of values all around, and an interval is as wide as it takes to
+    fall by what the likelihood's own unevenness, twice its standard deviation, may add to the usual fall.
+
+    Source: box1951 (response surface).
+    """
+    k = len(own)
+    pairs = [(i, j) for i in range(k) for j in range(i, k)]
+    steps = SPREADS[0] * np.random.default_rng(3).standard_normal((TRIALS * (1 + k + len(pairs)), k))
+    totals = []
+    for step in steps:
+        near = {f.name: f.inside(beside(f.name, fit.values[f.name], d)) for f, d in zip(own, step, strict=True)}
+        totals.append(evaluate(problem, fit.simulator, (), {**fit.values, **near}, fit.starts).total)
+    columns = np.column_stack([np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)])
+    found = np.linalg.lstsq(columns, np.array(totals), rcond=None)[0]
+    uneven = math.sqrt(float(np.square(totals - columns @ found).sum()) / (len(steps) - len(found)))
+    curvature = np.zeros((k, k))
+    for (i, j), c in zip(pairs, found[1 + k :], strict=True):
+        curvature[i, j] -= c
+        curvature[j, i] -= c
+    fall_ = 0.5 * (1.96 * WIDER) ** 2 + 2 * uneven
+    values, vectors = np.linalg.eigh(curvature)
+    inverse = (vectors / np.maximum(values, 2 * fall_ / MOST**2)) @ vectors.T
+    return {f.name: float(min(math.sqrt(2 * fall_ * inverse[i, i]), MOST)) for i, f in enumerate(own)}
+
+
+def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[str, answer.Estimate]:
+    """Return the free parameters with their 95 % intervals, as wide as development records showed that they must be.
+
+    With a problem, those of effects that switch are looked for all around.
+    """
     deviation = np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
+    own = rugged(fit, all_effects()) if problem is not None else []
+    wide_at = reach(problem, fit, own) if problem is not None and own else {}
     found = {}
     for f, each in zip(fit.free, deviation, strict=True):
-        wide = 1.96 * (WIDER_AT_EDGES if _has_edges(f.name) else WIDER) * each
         if f.nominal is not None and f.name.startswith(f"{RIGID}."):
             continue
-        value = fit.values[f.name]
-        low, high = (value * math.exp(-wide), value * math.exp(min(wide, 50.0))) if f.factor else (value - wide, value + wide)
-        found[f.name] = answer.Estimate(value, model.unit(f.name), (low, high), f.stuck(value))
+        wide, value = 1.96 * (WIDER_AT_EDGES if _has_edges(f.name) else WIDER) * each, fit.values[f.name]
+        ends = [value * math.exp(-wide), value * math.exp(min(wide, 50.0))] if f.factor else [value - wide, value + wide]
+        if f.name in wide_at:
+            ends += [beside(f.name, value, side * wide_at[f.name]) for side in (-1, 1)]
+        found[f.name] = answer.Estimate(value, model.unit(f.name), (min(ends), max(ends)), f.stuck(value))
     return found
 
 
 def _has_edges(parameter: str) -> bool:
-    """True for parameters of effects that begin at a place or a level: the likelihood is no parabola there."""
+    """True for parameters of effects that begin at a place or a level, where the likelihood is no parabola, and of couplings,
+    whose resonance the records know better than any step of a simulation shows it."""
     name = parameter.split(".")[0]
-    return name in all_effects() and (find_effect(name).local or find_effect(name).rugged)
+    return name in all_effects() and (find_effect(name).local or find_effect(name).coupling is not None)

@@ -13,7 +13,7 @@ from bristle.diagnosis.candidates import Candidate, Test, follow
 from bristle.diagnosis.fit import ROUGH, Fit, Problem, begun_well, refit, resume
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.numerics import finer_gain
-from bristle.diagnosis.size import fall, squares, typical_fall
+from bristle.diagnosis.size import acting_fall, fall, squares, typical_fall
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
@@ -22,7 +22,11 @@ CONTENDER = 0.2  # share of the best gain from which a candidate is refitted und
 SIZE = 1.2  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
 ODDS = 6.0  # nats between two candidates that keep them apart
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
-DOUBTLESS = 10.0  # times the null's level: a gain beyond doubt, whose size may be that of a typical segment
+DOUBTLESS, AGREED = 10.0, 6.0  # times the null's level and nats on segments kept from the search, two of them at least:
+# a gain beyond doubt, whatever a few segments make of the mean square (of 240 controls none gained 4.4 times the level, and
+# none of those beyond 1.8 times any nat on segments kept from the search)
+CLEAR = 3.0  # times the null's level: from there on the segments where a local effect acts say how large it is (controls: 2.2)
+CLOSE = 2.0  # standard errors that a candidate may be behind to take the place of a best one that does not hold
 RATIO = 3.3  # nats that a further parameter must gain
 MARK = 3.0  # nats: what one segment may say about it
 WIDE_MARK = 8.0  # the same where it is to prove that the best candidate holds on segments kept from the search:
@@ -68,7 +72,8 @@ def judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Seque
     rivals = [c for c in contenders if tests[c.name].large and c.gain_over(plain) > RIVAL * best.gain_over(plain)]
     leader = max(rivals or contenders, key=lambda c: c.merit)
     sound = [c for c in contenders if tests[c.name].large and tests[c.name].proven]
-    leader = max([c for c in sound if leader in sound and _spares(c, leader)] or [leader], key=lambda c: c.merit)
+    others = [c for c in sound if (_spares(c, leader) if leader in sound else _close(leader, c))]
+    leader = max(others or [leader], key=lambda c: c.merit)
     gain, test = leader.gain_over(plain), tests[leader.name]
     ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
     told = {c.name: replace(c, test=replace(tests[c.name], behind=apart(leader, c))) for c in contenders}
@@ -135,8 +140,8 @@ class _Without:
 def _tested(bench: Bench, held: Problem, without: _Without, candidate: Candidate, level: float) -> Test:
     """Return what a candidate is worth: size on the segments of the search, and whether those kept from it agree.
 
-    Where a servo sticks and slips, a few segments may go another way by chance and hide all others in a mean; what is
-    beyond doubt is judged by the typical segment then, if the segments kept from the search fall as much.
+    Where a servo sticks and slips, a few segments go another way by chance and hide all others in a mean square; what is
+    beyond doubt is not judged by it, if the segments kept from the search agree.
     """
     assert candidate.fit is not None
     effect = find_effect(candidate.name)
@@ -144,15 +149,22 @@ def _tested(bench: Bench, held: Problem, without: _Without, candidate: Candidate
     gains = (new.score - old.score)[held.judged]
     found = max(candidate.gain_over(without.fit), 0.0)
     before, after = without.squares, squares(candidate.fit, bench.train)
-    size = whole = fall(before, after, effect.local)
+    size = fall(before, after, effect.local)
+    if effect.local and found > CLEAR * level:
+        size = max(size, acting_fall(before, after))
     kept = squares(old, held.judged), squares(new, held.judged)
-    if found > DOUBTLESS * level:
-        size = max(size, min(typical_fall(before, after), typical_fall(*kept)))
+    agreed = _clipped(gains, MARK)
+    sure = beyond_doubt(found, level, agreed)
     like = found * len(gains) / max(int(np.count_nonzero(bench.train)), 1)
     least = min(SHOWN * like - LOSS, RATTLE if effect.coupling else ENOUGH)
     proven = bool(_clipped(gains, WIDE_MARK) > (-LOSS - CEDED * found if effect.local else least))
     helps = effect.local or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > HELP
-    return Test(whole, _clipped(gains, MARK), size >= SIZE, proven and helps)
+    return Test(size, agreed, sure or size >= SIZE, sure or (proven and helps))
+
+
+def beyond_doubt(gain: float, level: float, agreed: float) -> bool:
+    """True if a gain is far above what chance gives (`level`) and segments kept from the search agree (all in nats)."""
+    return gain > DOUBTLESS * level and agreed > AGREED
 
 
 def _clipped(gains: Array, most: float) -> float:
@@ -167,6 +179,12 @@ def _spares(plain: Candidate, rich: Candidate) -> bool:
     assert plain.fit is not None
     assert rich.fit is not None
     return plain.size < rich.size and rich.fit.total - plain.fit.total < RATIO * (rich.size - plain.size)
+
+
+def _close(best: Candidate, other: Candidate) -> bool:
+    """True if the records hardly tell another candidate from the best one."""
+    behind, doubt = apart(best, other)
+    return behind < CLOSE * doubt
 
 
 def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float) -> bool:

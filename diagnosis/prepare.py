@@ -26,7 +26,8 @@ SHORTEST = 0.1  # s: in less, friction and inertia hardly show
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
-EDGE = 0.1  # of the time, at either end, in which no step is looked for
+FALLEN = 0.25  # of the top speed, but for rare ones: up to there a Stribeck curve must have fallen
+EDGE = 0.05  # of the time, at either end, in which no step is looked for; of speeds, that are rare
 
 
 def bench_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT) -> Bench:
@@ -69,7 +70,8 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
     slow change with the position. (Friction that changes once in a turn has a cause in a shaft.) A step: where enough is
     seen before and after, else it is a bias with a few odd segments. A stop: touched less than half of the time, else it
     is a spring or a bias. A dead zone or a saturation: one that swallows nearly the whole input, or leaves only its sign,
-    says that the input explains nothing.
+    says that the input explains nothing. A Stribeck curve: one that has fallen well within the speeds that are seen, else it
+    is a drag by another name.
     """
     least = 2 * 2 * math.pi / bench.turn
     periodic = ("cogging.periods", "position_friction.periods") if bench.linear else ("cogging.periods",)
@@ -82,6 +84,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
         "hard_stop.upper": (middle, math.inf),
         "hard_stop.lower": (-math.inf, middle),
         "saturation.limit": (float(least_u), math.inf),
+        "stribeck.speed": (0.0, FALLEN * float(np.quantile(np.abs(bench.motion.v), 1 - EDGE))),
         **{name: (least, math.inf) for name in periodic},
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bristle.diagnosis import result as answer
-from bristle.diagnosis.views import MEASURED, STRETCHES, Share, appearances, periods_of
+from bristle.diagnosis.views import MEASURED, STRETCHES, Share, appearances, is_form, is_same, periods_of
 from bristle.plant.effects import effect as find_effect
 
 LEFT = 0.15  # share of the squared error that a view must explain before something is said to remain
@@ -13,15 +13,17 @@ CERTAIN = 0.03  # p over all views, from which on a share is believed
 VAIN = 0.9  # of the error before: a name that leaves more on the stretches kept from the search is not the whole story
 OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
 # quite the catalogue's leaves as much) and in any other
+SUREST = 0.001  # p that no draw reaches: where nothing is named, a share of OTHER is enough then (1 more control of 240 is
+# flagged, 7 more of 240 records with an effect of no catalogue)
 ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there
-SAME, HARMONICS = 0.03, (2, 3, 4)  # periods that count as equal; multiples that are the form of a wave
 
 
 def remains(
-    after: Sequence[Share], values: Mapping[str, float], named: Sequence[str], gap: answer.Gap, turn: float
+    after: Sequence[Share], values: Mapping[str, float], named: Sequence[str], gap: answer.Gap, turn: float, fell: float
 ) -> answer.Remains:
     """Say whether something predictable is left that is neither small nor only the form of what was named.
 
+    `fell` is the factor by which the error fell on segments kept from the search, none of them counting for much.
     What repeats as a multiple of a named wave is its form. What repeats as the wave itself, which was free to take it up,
     is something else, and evidence in that view alone is enough.
     """
@@ -30,18 +32,17 @@ def remains(
     own = {view for name in named for view in appearances(name)}
     waves = [periods for name in named if (periods := periods_of(name, values, turn)) is not None]
     left = gap.after / gap.before if named and gap.before > 0 else 1.0
-    if named and left > VAIN and not rattles and not any(find_effect(name).local for name in named):
+    if named and fell * VAIN < 1 and not rattles and not any(find_effect(name).local for name in named):
         return answer.Remains(True, seen[0].view, seen[0].share)
     certain = []
     for share in seen:
-        times = [share.periods / wave for wave in waves] if share.periods else []
-        same = any(abs(t - 1) < SAME for t in times)
+        same = any(is_same(share.periods, wave) for wave in waves)
         if not (share.p <= CERTAIN or (same and share.alone <= ALONE)):
             continue
         certain.append(share)
-        form = any(abs(t - k) < SAME * k for t in times for k in HARMONICS)
+        form = any(is_form(share.periods, wave) for wave in waves)
         least = OWN if share.view in own and not same else OTHER
-        if share.share >= LEFT and share.share * left >= least and not form:
+        if share.share >= (LEFT if named or share.p > SUREST else OTHER) and share.share * left >= least and not form:
             return answer.Remains(True, share.view, share.share)
     first = (certain or after)[0]
     return answer.Remains(False, first.view if certain else None, first.share)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from bristle.diagnosis.bench import LONG, Bench, Stage, lens_of
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Start, advance, evidence, explore, pursue, scanned, starts
 from bristle.diagnosis.fit import Fit, Problem, evaluate, refit, rescored, resume
-from bristle.diagnosis.judge import SIZE, Verdict, judged
+from bristle.diagnosis.judge import CLEAR, DOUBTLESS, SIZE, Verdict, judged
 from bristle.diagnosis.lens import Lens
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import steady
 from bristle.diagnosis.size import fall, squares
-from bristle.diagnosis.views import MEASURED, Share, shares
+from bristle.diagnosis.views import MEASURED, Share, is_form, periods_of, shares
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
@@ -28,7 +28,8 @@ MOST = 4  # effects that are added
 HINT = 0.05  # p of a view that calls for another round
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
 MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise most after the first steps
-PLAIN, PLAIN_LOCAL = 3.0, 1.8  # a further effect lowers the error so, or so if it shows in few segments only,
+PLAIN = 1.6  # a further effect lowers the error so, and shows anything on segments kept from the search or is local (of effects
+# that were not there, gained `CLEAR` times the level and were no wave's form, one lowered it by 1.9, the others by less than 1.5),
 MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
 MUCH, AGAIN = 1.5, 15.0  # or so, or gains this share, and gains so many nats on segments kept from the search
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
@@ -124,17 +125,18 @@ def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
     return Stage(servo, problem, resume(problem, fit))
 
 
-def pruned(stage: Stage, bench: Bench, base: Stage, gain: float) -> tuple[Stage, list[str]]:
+def pruned(stage: Stage, bench: Bench, base: Stage, gain: float, level: float) -> tuple[Stage, list[str]]:
     """Return the servo without the effects that the last one has made needless, and the names of these.
 
-    `gain` is that of the last one [nats], which an effect of little size must not fall far behind.
+    `gain` is that of the last one [nats], which an effect of little size must not fall far behind, and `level` what chance
+    gives: what is beyond doubt is not small, as in `judge`.
     """
     added = [name for name in stage.servo.effects if name not in base.servo.effects]
     spared = []
     for name in added[:-1]:
         less = _without(stage, bench, base, name)
         size, loss = fall(squares(less.fit, bench.train), squares(stage.fit, bench.train)), stage.fit.total - less.fit.total
-        if size < SIZE or (size < MORE and loss < ALSO * gain):
+        if (size < SIZE and loss < DOUBTLESS * level) or (size < MORE and loss < ALSO * gain):
             stage = less
             spared.append(name)
     return stage, spared
@@ -174,12 +176,23 @@ def suspicious(stage: Stage, bench: Bench, verdict: Verdict, taken: set[str]) ->
     return False
 
 
-def _worth_adding(verdict: Verdict, first: float) -> bool:
+def mends_form(bench: Bench, stage: Stage, best: Candidate) -> bool:
+    """True if a candidate repeats as a small multiple of a wave that the servo has, and shows where that does."""
+    assert best.fit is not None
+    views, periods = set(find_effect(best.name).residual), periods_of(best.name, best.fit.values, bench.turn)
+    kin = [name for name in stage.servo.effects if views & set(find_effect(name).residual)]
+    waves = [periods_of(name, stage.fit.values, bench.turn) for name in kin]
+    return any(is_form(periods, wave) for wave in waves if wave is not None)
+
+
+def worth_adding(verdict: Verdict, first: float) -> bool:
     """True if a further effect is more than a mend of the form of what was added; `first` is the gain of the first [nats].
 
     Another effect lowers much of what is left, on segments kept from the search too; what mends a form does so in places.
     """
-    if verdict.size >= PLAIN or (verdict.size >= PLAIN_LOCAL and verdict.best and find_effect(verdict.best.name).local):
+    assert verdict.best is not None
+    level = verdict.null.level(verdict.best.name)
+    if verdict.size >= PLAIN and verdict.gain > CLEAR * level and (verdict.kept > 0 or find_effect(verdict.best.name).local):
         return True
     strong, holds = verdict.gain >= ALSO * first, verdict.kept >= AGAIN
     return (strong and (holds or (verdict.size >= MORE and verdict.kept > 0))) or (holds and verdict.size >= MUCH)
@@ -200,7 +213,7 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
             small = "of no help on segments kept from the search" if verdict.large else "certain but small"
             rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}", ties=())
             break
-        if stage is not base and not _worth_adding(verdict, rounds[0].gain):
+        if stage is not base and (mends_form(bench, stage, verdict.best) or not worth_adding(verdict, rounds[0].gain)):
             mends = f"'{verdict.best.name}' may only mend the form of what was added"
             rounds[-1] = replace(verdict, decision=mends, ties=())
             break
@@ -214,7 +227,7 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         stage = extend(stage, bench, verdict.best)
         taken.add(verdict.best.name)
-        stage, spared = pruned(stage, bench, base, verdict.gain)
+        stage, spared = pruned(stage, bench, base, verdict.gain, verdict.null.level(verdict.best.name))
         if spared:
             text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
             rounds[-1] = replace(rounds[-1], decision=text)

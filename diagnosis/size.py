@@ -35,3 +35,12 @@ def fall(before: Array, after: Array, local: bool = False) -> float:
     """
     most = np.inf if local else OUTLYING * max(float(np.quantile(after, 0.75)), 1e-300)
     return float(np.minimum(before, most).sum() / np.minimum(after, most).sum())
+
+
+def acting_fall(before: Array, after: Array) -> float:
+    """Return by which factor mean squared errors (segments,) fall where an effect acts: where they change more than is usual.
+
+    What acts in a few segments is hidden by all others in a mean.
+    """
+    acting = np.abs(before - after) > np.quantile(after, 0.75)
+    return float(before[acting].sum() / max(float(after[acting].sum()), 1e-300)) if acting.any() else 1.0

@@ -24,12 +24,14 @@ FLIPS = 999  # random signs of segments, for the significance
 RIDGE = 1e-3  # of a view's own power
 KNOTS = 9
 TONES = (0.2, 45.0)  # Hz
+PADDED = 4  # times the length: so fine is the grid of their frequencies
 PERIODS = 60  # in a turn
 POINTS = 5000  # of the path, for them
 MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
 ONCE = ("gravity", "eccentric_encoder")  # effects that repeat with each turn of a shaft
 FAR = 5.0  # times the usual squared error, whitened
 STRETCHES = "some stretches"
+SAME, HARMONICS = 0.03, (2, 3, 4)  # periods that count as equal; multiples that are the form of a wave
 STOPS = 5  # widths of elastic elements that make up a hysteresis
 
 
@@ -60,6 +62,16 @@ def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | N
     """Return how often an effect repeats along a path `turn` [rad]; None if it does not."""
     periods = 1.0 if name in ONCE else values.get(f"{name}.periods")
     return None if periods is None else periods * turn / (2 * math.pi)
+
+
+def is_same(periods: float | None, wave: float) -> bool:
+    """True if something repeats as a wave does, both along the same path."""
+    return periods is not None and abs(periods / wave - 1) < SAME
+
+
+def is_form(periods: float | None, wave: float) -> bool:
+    """True if something repeats as a small multiple of a wave: what the wave's own form may have beside a sine."""
+    return periods is not None and any(is_same(periods, k * wave) for k in HARMONICS)
 
 
 def hats(x: Array, knots: int = KNOTS) -> Array:
@@ -116,19 +128,30 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     }
 
 
+def spectra(time: Array, rough: Array, signs: Array) -> tuple[Array, Array]:
+    """Return frequencies (k,) [Hz] within `TONES` and the amplitude spectra (draws, k) of a torque in segments with signs.
+
+    Parameters: time and rough torque (segments, bins), signs (draws, segments).
+    """
+    step = float(np.median(np.diff(time, axis=1)))
+    place = np.rint((time - time.min()) / step).astype(int)
+    length = int(place.max()) + 1
+    frequency = np.fft.rfftfreq(PADDED * length, step)
+    inside = (frequency >= TONES[0]) & (frequency <= TONES[1])
+    found = []
+    for each in signs:
+        even = np.zeros(length)
+        even[place] = each[:, None] * rough
+        found.append(np.abs(np.fft.rfft(even, PADDED * length))[inside])
+    return frequency[inside], np.array(found)
+
+
 def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str, float | None]]:
     """Return waves whose frequency is chosen by the residual: in time and along the position, with a label and periods."""
-    skip = lens.shape[1] // rough.shape[1]
-    middle = np.arange(len(m.time)).reshape(-1, skip)[:, skip // 2]
-    r, time, theta = rough.ravel(), m.time[middle], m.theta[middle]
-    step = float(np.median(np.diff(time)))
-    place = np.rint((time - time.min()) / step).astype(int)
-    even = np.zeros(int(place.max()) + 1)
-    even[place] = r
-    size = 4 * len(even)
-    frequency = np.fft.rfftfreq(size, step)
-    power = np.abs(np.fft.rfft(even, size)) * ((frequency >= TONES[0]) & (frequency <= TONES[1]))
-    tone = float(frequency[int(np.argmax(power))])
+    middle = _middle(lens, rough)
+    r, theta = rough.ravel(), m.theta[middle]
+    frequency, power = spectra(m.time[middle].reshape(rough.shape), rough, np.ones((1, len(rough))))
+    tone = float(frequency[int(np.argmax(power[0]))])
     found: dict[str, tuple[Array, str, float | None]] = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz", None)}
     turns = np.arange(1.0, PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
@@ -143,11 +166,18 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
     return found
 
 
+def _middle(lens: Lens, rough: Array) -> NDArray[np.int_]:
+    """Return the samples in the middle of each bin."""
+    skip = lens.shape[1] // rough.shape[1]
+    return np.arange(rough.size * skip).reshape(-1, skip)[:, skip // 2]
+
+
 def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dict[str, Array] | None = None) -> list[Share]:
     """Return the views with their shares, the strongest first; stretches that stand out come last.
 
     A view's function is fitted on four fifths of the segments, and its p is how often the strongest of all views
-    predicts the rest as well when segments get random signs. Its share is the power it has in the output.
+    predicts the rest as well when segments get random signs. A tone must stand out as well among the highest lines of such
+    spectra, for its frequency was chosen. The share is the power that a view has in the output.
 
     Source: liu1988 (wild bootstrap).
     """
@@ -161,12 +191,23 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     found = {view: _predicted(lens, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
     ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
+    highest = line_p(m.time[_middle(lens, rough)].reshape(rough.shape)[live], rough[live], signs)
+    ps["tone"] = max(ps["tone"][0], highest), max(ps["tone"][1], highest)
     whole = float(np.square(lens.plain(lens.rest[live][:, :, None], live)).mean())
     result = []
     for view, (_, power) in found.items():
         label, periods = told.get(view, ("", None))
         result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], label, ps[view][1], periods))
     return [*sorted(result, key=lambda each: -each.share), _outbreaks(lens, m, live)]
+
+
+def line_p(time: Array, rough: Array, signs: Array) -> float:
+    """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
+
+    Each draw finds its own frequency, as the data did. Parameters as of `spectra`.
+    """
+    lines = np.array([spectra(time, rough, each[None])[1].max() for each in signs])
+    return chance(lines[1:], lines[0])
 
 
 def _outbreaks(lens: Lens, m: Motion, live: NDArray[np.int_]) -> Share:

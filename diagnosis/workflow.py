@@ -11,7 +11,7 @@ import numpy as np
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis.bench import Bench, Stage, settle
-from bristle.diagnosis.conclude import conclude, gap_between, views_beside
+from bristle.diagnosis.conclude import conclude, fell_between, gap_between, views_beside
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import REACH, Model
@@ -92,7 +92,8 @@ def examine(model: Model, records: Sequence[Record], bench: Bench, base: Stage, 
 def _in_part(model: Model, bench: Bench, base: Stage, final: Stage) -> bool:
     """True if something remains beside what was found."""
     _, after = views_beside(bench, base, final)
-    return remains(after, final.fit.values, (), gap_between(model, bench, base, final), bench.turn).flag
+    gap = gap_between(model, bench, base, final)
+    return remains(after, final.fit.values, (), gap, bench.turn, fell_between(bench, base, final)).flag
 
 
 def better_unbound(model: Model, bench: Bench, base: Stage, final: Stage) -> str | None:

@@ -17,16 +17,24 @@ def torque(c: Context) -> ca.SX:
     return ca.SX(c.p.stiffness * (ca.fmax(c.p.lower - c.theta, 0) - ca.fmax(c.theta - c.p.upper, 0)))
 
 
+SHARES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # of the time that a stop may be reached
+
+
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return stops that are reached often, now and then, or once, on either side."""
+    """Return stops on either side that explain most of what is left, and one each that is reached often, and hardly ever."""
     starts: list[dict[str, float]] = []
-    for share in (0.1, 0.02, 0.004):  # of the time
-        for name, side in (("upper", 1.0), ("lower", -1.0)):
-            edge = float(np.quantile(side * e.theta, 1 - share))
-            inside = np.maximum(side * e.theta - edge, 0.0)
-            stiffness = float(e.regress(-side * inside[:, None])[0][0])
-            starts.append({"stiffness": max(stiffness, 0.1 * e.level / max(float(inside.max()), 1e-9)), name: side * edge})
+    for name, side in (("upper", 1.0), ("lower", -1.0)):
+        edges = [float(np.quantile(side * e.theta, 1 - share)) for share in SHARES]
+        found = e.best(edges, lambda edge, side=side: _press(e, side, edge), len(edges))
+        for edge, (stiffness,) in (each for i, each in enumerate(found) if i < 2 or each[0] in (edges[0], edges[-2])):
+            depth = max(float(np.max(side * e.theta)) - edge, 1e-9)
+            starts.append({"stiffness": max(float(stiffness), 0.1 * e.level / depth), name: side * edge})
     return starts
+
+
+def _press(e: Evidence, side: float, edge: float) -> np.ndarray:
+    """Return the torque (n, 1) of a stop of stiffness 1 on one side."""
+    return -side * np.maximum(side * e.theta - edge, 0.0)[:, None]
 
 
 EFFECT = Effect(

@@ -1,0 +1,131 @@
+"""Rules of the search: what is large or beyond doubt, what only mends a form, what may be seen, how wide an interval is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis import intervals
+from bristle.diagnosis.bench import HELD
+from bristle.diagnosis.candidates import Candidate, beside, standing
+from bristle.diagnosis.fit import Free
+from bristle.diagnosis.judge import Verdict, beyond_doubt
+from bristle.diagnosis.null import Null
+from bristle.diagnosis.search import mends_form, worth_adding
+from bristle.diagnosis.size import acting_fall, fall
+from bristle.diagnosis.views import FLIPS, line_p
+
+LEVEL = 20.0
+
+
+def test_what_acts_in_a_few_segments_is_as_large_as_it_is_there():
+    rng = np.random.default_rng(1)
+    after = rng.chisquare(40, 75) / 40
+    before = after.copy()
+    before[7], before[30] = 20 * after[7], 30 * after[30]
+    before[50] = after[50] = 400.0  # one that went another way by chance hides them in the mean
+    assert fall(before, after, local=True) < 1.2
+    assert acting_fall(before, after) == pytest.approx(25.0, rel=0.3)
+    assert acting_fall(after, after) == 1.0
+
+
+@pytest.mark.parametrize(("gain", "agreed", "sure"), [(250, 7, True), (250, 5, False), (150, 40, False), (250, -20, False)])
+def test_beyond_doubt_is_what_is_far_above_chance_and_agreed_upon(gain, agreed, sure):
+    assert beyond_doubt(gain, LEVEL, agreed) is sure
+
+
+def verdict(name: str, gain: float, size: float, kept: float) -> Verdict:
+    return Verdict((), Null(np.full(999, LEVEL), {}), 0.0, Candidate(name, None), gain, size, (), "", kept=kept)
+
+
+@pytest.mark.parametrize(
+    ("name", "gain", "size", "kept", "worth"),
+    [
+        ("gravity", 70, 1.7, 1.0, True), ("gravity", 70, 1.7, -1.0, False), ("hard_stop", 70, 1.7, -1.0, True),
+        ("gravity", 50, 1.7, 10.0, False), ("gravity", 70, 1.4, 10.0, False), ("gravity", 70, 1.55, 16.0, True),
+        ("gravity", 500, 1.45, 1.0, True),
+    ],
+)  # fmt: skip
+def test_a_further_effect_is_large_sure_and_holds_elsewhere(name, gain, size, kept, worth):
+    assert worth_adding(verdict(name, gain, size, kept), 1000.0) is worth
+
+
+@pytest.mark.parametrize(
+    ("has", "name", "periods", "form"),
+    [
+        ("gravity", "cogging", 2.02, True), ("gravity", "cogging", 3.0, True), ("gravity", "cogging", 7.0, False),
+        ("gravity", "position_friction", 2.0, False), ("bias", "cogging", 2.0, False),
+    ],
+)  # fmt: skip
+def test_a_multiple_of_a_wave_mends_its_form(has, name, periods, form):
+    bench = SimpleNamespace(turn=2 * np.pi)
+    stage = SimpleNamespace(servo=SimpleNamespace(effects=(has,)), fit=SimpleNamespace(values={}))
+    best = SimpleNamespace(name=name, fit=SimpleNamespace(values={f"{name}.periods": periods}))
+    assert mends_form(bench, stage, best) is form
+
+
+def test_the_search_sees_the_ends_of_the_range(case):
+    """A segment that would be kept from it, but for the largest position, the lowest or an extreme of the input."""
+    bench = case(None).bench
+    length = len(bench.motion.theta) // len(bench.segments.judged)
+    kept = int(np.flatnonzero(bench.held)[1])
+    assert bench.segments.block[kept] % HELD == HELD - 1
+    for name, value in (("theta", 1e3), ("theta", -1e3), ("u", 1e3), ("u", -1e3)):
+        x = getattr(bench.motion, name).copy()
+        x[kept * length + 7] = value
+        other = replace(bench, motion=replace(bench.motion, **{name: x}))
+        assert not other.held[kept]
+        assert other.train[kept]
+        assert not (other.held & other.train).any()
+    assert np.array_equal(bench.held | bench.train, bench.segments.judged)
+
+
+def spectrum_p(seed: int, tone: float) -> float:
+    """The p of a tone in 60 segments of a noise that is slow within each."""
+    rng = np.random.default_rng(seed)
+    time = 0.4 * np.arange(60)[:, None] + 0.008 * np.arange(50)
+    slow = np.cumsum(rng.standard_normal((60, 50)), axis=1)
+    slow -= slow.mean(axis=1, keepdims=True)
+    signs = np.concatenate([np.ones((1, 60)), rng.choice([-1.0, 1.0], (FLIPS // 5, 60))])
+    return line_p(time, slow + tone * np.sin(2 * np.pi * 3.1 * time), signs)
+
+
+def test_a_tone_is_one_among_the_highest_lines_that_chance_finds():
+    assert spectrum_p(0, 4.0) < 0.01
+    chance = [spectrum_p(seed, 0.0) for seed in range(1, 21)]
+    assert sum(p < 0.1 for p in chance) <= 5  # 2 of 20 by chance
+    assert np.mean(chance) == pytest.approx(0.5, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("uneven", "curve", "low", "high"), [(0.0, 400.0, 0.19, 0.2), (20.0, 400.0, 0.3, 0.7), (0.0, 0.1, 1.0, 1.0)]
+)
+def test_an_uneven_likelihood_makes_a_wide_interval(monkeypatch, uneven, curve, low, high):
+    """Half the width is where a parabola has fallen by the usual and by twice the unevenness, a second at most."""
+    rng, name = np.random.default_rng(4), "disturbance_step.onset"
+
+    def likelihood(problem, simulator, free, values, starts):
+        off = values[name] - 5.0
+        return SimpleNamespace(total=-0.5 * curve * off**2 + uneven * rng.standard_normal())
+
+    monkeypatch.setattr(intervals, "evaluate", likelihood)
+    fit = SimpleNamespace(values={name: 5.0}, simulator=None, starts=None)
+    [half] = intervals.reach(None, fit, [Free(name, 0.0, 10.0)]).values()
+    assert low <= half <= high
+
+
+def test_a_moment_moves_by_seconds_and_a_play_by_factors():
+    assert beside("disturbance_step.onset", 5.0, 0.1) == pytest.approx(5.1)
+    assert beside("backlash.play", 0.02, 0.1) == pytest.approx(0.02 * np.exp(0.1))
+
+
+def test_bristles_also_begin_as_those_of_the_model(case):
+    base = case(None).base
+    [start] = standing(base.servo, "bristle_damping", base.fit)
+    assert start == {key: base.fit.values[f"bristle_damping.{key}"] for key in ("stiffness", "damping")}
+    assert list(standing(base.servo, "presliding", base.fit)[0]) == ["stiffness"]
+    assert standing(base.servo, "cogging", base.fit) == []
+    assert standing(replace(base.servo, rigid=False), "bristle_damping", base.fit) == []
