@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -233,7 +233,7 @@ def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Calla
     return replace(candidate, fit=rescored(quiet(fit), fit))
 
 
-def rugged(fit: Fit, effects: Sequence[str]) -> list[Free]:
+def rugged(fit: Fit, effects: Collection[str]) -> list[Free]:
     """Return the free parameters of effects that switch."""
     return [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
 

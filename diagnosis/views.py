@@ -143,7 +143,7 @@ def spectra(time: Array, rough: Array, signs: Array) -> tuple[Array, Array]:
         even = np.zeros(length)
         even[place] = each[:, None] * rough
         found.append(np.abs(np.fft.rfft(even, PADDED * length))[inside])
-    return frequency[inside], np.array(found)
+    return np.asarray(frequency[inside]), np.array(found)
 
 
 def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str, float | None]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 
@@ -25,7 +27,7 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     starts: list[dict[str, float]] = []
     for name, side in (("upper", 1.0), ("lower", -1.0)):
         edges = [float(np.quantile(side * e.theta, 1 - share)) for share in SHARES]
-        found = e.best(edges, lambda edge, side=side: _press(e, side, edge), len(edges))
+        found = e.best(edges, partial(_press, e, side), len(edges))
         for edge, (stiffness,) in (each for i, each in enumerate(found) if i < 2 or each[0] in (edges[0], edges[-2])):
             depth = max(float(np.max(side * e.theta)) - edge, 1e-9)
             starts.append({"stiffness": max(float(stiffness), 0.1 * e.level / depth), name: side * edge})
