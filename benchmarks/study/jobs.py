@@ -93,6 +93,13 @@ def validation(final: Mapping[str, float], second: Mapping[str, Array]) -> tuple
     return None, math.nan
 
 
+def settled(error: Array) -> float | None:
+    """Return the last time [s] that any error [%] of (samples, parameters) is outside the band; None: to the end, or nothing there."""
+    outside = np.flatnonzero(~(np.abs(error) <= BAND).all(axis=1))
+    after = int(outside[-1]) + 1 if len(outside) else 0
+    return after * STEP if error.shape[1] and after < len(error) else None
+
+
 def judged(
     method: str, plant: str, data: Mapping[str, Array], second: Mapping[str, Array], sensor: str, checks: tuple[float, ...] = CHECKS
 ) -> Json:
@@ -102,9 +109,7 @@ def judged(
     true = TRUE.get(plant, {})
     places = [i for i, name in enumerate(PLACES) if name in true and name not in known and np.isfinite(rows[-1, i])]
     error = error_percent(np.where(valid[:, places] > 0, rows[:, places], np.nan), np.array([true[PLACES[i]] for i in places]))
-    outside = np.flatnonzero(~(np.abs(error) <= BAND).all(axis=1)) if places else np.empty(0, dtype=int)
-    settled = float((outside[-1] + 1) * STEP) if len(outside) else 0.0
-    out: Json = {"failure": failure, "settling_s": settled if places and outside[-1:] != len(rows) - 1 else None, "checks": {}}
+    out: Json = {"failure": failure, "settling_s": settled(error), "checks": {}}
     for check in checks:
         k = round(check / STEP) - 1
         final = {name: float(rows[k, i]) if valid[k, i] > 0 else math.nan for i, name in enumerate((*PLACES, "Fc", "tau"))}
@@ -226,9 +231,7 @@ def after_a_change(plant: str, order: int, seed: int) -> Json:
         rows, valid, failure = observed(method, data, "encoder", {})
         places = [i for i, name in enumerate(PLACES) if name not in known and np.isfinite(rows[-1, i])]
         error = error_percent(np.where(valid[:, places] > 0, rows[:, places], np.nan), np.array([true[PLACES[i]] for i in places]))
-        outside = np.flatnonzero(~(np.abs(error[before:]) <= BAND).all(axis=1)) if places else np.empty(0, dtype=int)
-        back = bool(places) and outside[-1:] != len(error) - before - 1
-        out[method] = {"back_s": float((outside[-1] + 1) * STEP) if back and len(outside) else None, "failure": failure}
+        out[method] = {"back_s": settled(error[before:]), "failure": failure}
     return out
 
 
