@@ -94,7 +94,7 @@ def validation(final: Mapping[str, float], second: Mapping[str, Array]) -> tuple
 
 
 def settled(error: Array) -> float | None:
-    """Return the last time [s] that any error [%] of (samples, parameters) is outside the band; None: to the end, or nothing there."""
+    """Return when errors [%] of (samples, parameters) are within the band for good [s]; None: never, or there are none."""
     outside = np.flatnonzero(~(np.abs(error) <= BAND).all(axis=1))
     after = int(outside[-1]) + 1 if len(outside) else 0
     return after * STEP if error.shape[1] and after < len(error) else None
