@@ -12,7 +12,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jobs import BEST, BOUNDS, CHECKS, PLACES, estimators
+from jobs import BEST, BOUNDS, CHECKS, PLACES, estimated, estimators
 from records import STEP, record
 from scipy.stats import beta
 
@@ -95,14 +95,14 @@ def ratios(found: Sequence[Json], sensor: str, method: str, check: str, over: st
 def identification(results: Results, sensor: str) -> str:
     """Return the table of times and errors on the plants whose parameters are known."""
     what = ("to 5 %, s", f"error at {EARLY} s, %", f"at {LATE} s, %")
-    head = ["method", *(f"{plant}: {each}" for plant in WITH_TRUTH for each in what)]
+    head = ["method", "estimates", *(f"{plant}: {each}" for plant in WITH_TRUTH for each in what)]
     rows = []
     for method in estimators():
-        cells = [method]
+        cells = [method, "all six" if estimated(method) == list(PLACES) else ", ".join(estimated(method))]
         for plant in WITH_TRUTH:
             entries = results.methods(sensor, plant, method)
             cells.append(two(entry["settling_s"] for entry in entries))
-            cells += [two((largest(entry, check) for entry in entries), ".2f") for check in (EARLY, LATE)]
+            cells += [two((largest(entry, check) for entry in entries), ".3g") for check in (EARLY, LATE)]
         rows.append(cells)
     return table([*head, "failed"], [[*row, failures(results, sensor, row[0])] for row in rows])
 
@@ -166,7 +166,7 @@ def bodies(results: Results) -> str:
     for method in estimators():
         cells = [method]
         for sensor in SENSORS:
-            cells.append(two((worst(result[sensor][method]["errors"]) for result in results.of("bodies", "Z")), ".2f"))
+            cells.append(two((worst(result[sensor][method]["errors"]) for result in results.of("bodies", "Z")), ".3g"))
         rows.append(cells)
     return table(["method", *SENSORS], rows)
 
@@ -202,7 +202,7 @@ def goals(results: Results) -> str:
         entries = [result["encoder"][BEST] for result in results.of_best(plant)]
         add(f"{plant}: time to 5 %, s", [x if (x := e["settling_s"]) is not None else math.inf for e in entries],
             lambda x: x <= 10, "median <= 6, worst <= 10", ".1f")  # fmt: skip
-        add(f"{plant}: largest error at {EARLY} s, %", [largest(e, EARLY) for e in entries], lambda x: x <= 0.3, "<= 0.3")
+        add(f"{plant}: largest error at {EARLY} s, %", [largest(e, EARLY) for e in entries], lambda x: x <= 0.3, "<= 0.3", ".2g")
         add(f"{plant}: MSE, %", [e["checks"][EARLY]["mse"] for e in entries], lambda x: x <= 1e-4, "<= 1e-4", ".1e")
     for plant in FIT:
         add(f"{plant}: MSE over floor at {EARLY} s", ratios(results.of_best(plant), "encoder", BEST, EARLY, "modified"),
@@ -245,7 +245,8 @@ def figure_times(results: Results, out: Path) -> None:
             there = [x for x in times if x is not None]
             axes.plot(there, np.full(len(there), row + shift), mark, ms=4, alpha=0.6, color="C0" if plant == "S" else "C1")
             if len(there) < len(times):
-                axes.text(CHECKS[-1] * 1.05, row + shift, f"{plant}: {len(times) - len(there)} never", fontsize=7, va="center")
+                never = f"{plant}: {len(times) - len(there)} never"
+                axes.text(1.01, row + shift, never, fontsize=7, va="center", transform=axes.get_yaxis_transform())
     axes.set(xscale="log", xlabel="time until all parameters stay within 5 % (s), encoder", yticks=range(len(names)))
     axes.set_yticklabels(list(reversed(names)))
     axes.plot([], [], "o", color="C0", label="set S")
@@ -283,7 +284,7 @@ ABOUT = f"""# Observers compared
 {COMMAND} runs every observer of `bristle list`, with its default settings, on closed-loop records of {LATE} s under the
 reference controller, on {{n}} records of each plant (seeds 1 to {{seeds}}, both orders of the reference), from clean signals and
 from the encoder (40 000 counts a turn; velocity: differences of counts). Methods that take alpha2 and b as known are told the
-true ones. Each cell: median / worst record; "never": not by the end, or no number. Plants S, R: the modified law, parameters
+true ones. Each cell: median / worst record, of the worst of the parameters; "never": not by the end, or no number. Plants S, R: the modified law, parameters
 known. L0, L1: original LuGre without and with bristle damping; GMS: four Maxwell-slip elements; no observer's model contains
 them, and they are judged by eq. (25) on a second record, over what a fit reaches.
 """
