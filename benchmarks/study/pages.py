@@ -247,7 +247,8 @@ def figure_times(results: Results, out: Path) -> None:
             if len(there) < len(times):
                 never = f"{plant}: {len(times) - len(there)} never"
                 axes.text(1.01, row + shift, never, fontsize=7, va="center", transform=axes.get_yaxis_transform())
-    axes.set(xscale="log", xlabel="time until all parameters that it estimates stay within 5 % (s), encoder", yticks=range(len(names)))
+    label = "time until all parameters that it estimates stay within 5 % (s), encoder"
+    axes.set(xscale="log", xlabel=label, yticks=range(len(names)))
     counts = [len(estimated(name)) for name in reversed(names)]
     axes.set_yticklabels([f"{name} ({n} of {len(PLACES)})" for name, n in zip(reversed(names), counts, strict=True)])
     axes.plot([], [], "o", color="C0", label="set S")
