@@ -30,6 +30,9 @@ def cache_folder() -> Path:
 
 
 def _unusable(folder: Path, error: OSError) -> BristleError:
+    elsewhere = error.filename and not Path(str(error.filename)).is_relative_to(folder)
+    if elsewhere:  # what a cached file is made from, or a tool that makes it
+        return BristleError(f"{error.filename}: {error.strerror}; needed for a file of the cache {folder}")
     return BristleError(f"cache folder {folder}: {error.strerror}; set BRISTLE_CACHE to a folder you can write")
 
 

@@ -121,6 +121,15 @@ def test_a_failed_build_leaves_nothing_in_the_cache(tmp_path, monkeypatch):
     assert cache.cached("thing", broken) == path  # not made again
 
 
+def test_what_a_cached_file_lacks_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / "cache"))
+    missing = tmp_path / "template.c"
+    with pytest.raises(BristleError, match=f"{missing}: No such file"):
+        cache.cached("thing", lambda p: p.write_text(missing.read_text()))
+    with pytest.raises(BristleError, match="set BRISTLE_CACHE to a folder you can write"):
+        cache.cached("thing", lambda p: (p.parent / "no" / "folder").write_text(""))
+
+
 def test_a_compiler_error_is_one_line(tmp_path):
     with pytest.raises(BristleError, match=r"failed: .*error") as caught:
         compiler.compile_shared({"a.c": "int f(void) { return nonsense; }\n"}, tmp_path / "a.so")
