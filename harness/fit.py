@@ -159,7 +159,7 @@ def starts(model: str, data: Data) -> list[dict[str, float]]:
     spread = float(np.std(data.y))
     b = b or 1.0
     floor = 1e-3 * abs(b) * float(np.std(data.u))  # an acceleration that counts for nothing
-    a2, friction = max(a2, floor / spread), max(friction, floor)
+    a2, friction = max(a2, floor / max(spread, 1e-300)), max(friction, floor)
     base = {"b": b, "a2": a2}
     if model == "viscous":
         return [base]

@@ -25,6 +25,7 @@ PORTS = {
 }
 NEEDED = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
 SENSOR = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}
+WHOLE = {"controller": ("seed", "order")}  # parameters that are counted, though an FMU of ours calls them real
 SELECTOR = {"plant": "law", "observer": "method"}
 
 
@@ -157,6 +158,8 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[s
             values[key] = fmu.parameter(key, given, own)
         except BristleError as error:
             raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
+        if key in WHOLE.get(name, ()) and values[key] != int(values[key]):
+            raise loaded.error(f"{name}.parameters.{key}", given, "must be a whole number")
         owner = key.partition(".")[0]
         if owner != key and owner in others:
             raise loaded.error(f"{name}.parameters.{key}", given, f"belongs to {selector} '{owner}', this is '{choice}'; remove it")
@@ -181,6 +184,8 @@ def _events(setup: Setup) -> tuple[tuple[int, Port, float], ...]:
     allowed = [name for name in PORTS["plant"]["inputs"] if plant.has(name, "input")]
     for i, stimulus in enumerate(setup.scenario.stimuli):
         name = stimulus.variable
+        if name in [earlier.variable for earlier in setup.scenario.stimuli[:i]]:
+            raise setup.loaded.error(f"stimuli[{i}].variable", name, "has a stimulus already; put all points into one")
         if name not in allowed:
             message = f"no free input of the plant{suggest(name, allowed)}; choose one of: {', '.join(allowed) or 'none'}"
             raise setup.loaded.error(f"stimuli[{i}].variable", name, message)

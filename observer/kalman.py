@@ -42,7 +42,8 @@ class Servo:
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare what the filters know of the sensor."""
-    step, most = "step of the position sensor; 0: none", "largest error that counts in full, in standard deviations"
+    step = "step of the position sensor; 0: none"
+    most = "largest error that counts in full, in standard deviations; a larger one e counts as g^2/e"
     return (
         Parameter(f"{prefix}.resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, step, "dixit2008 section IV-A"),
         Parameter(f"{prefix}.gate", "g", "1", 3.0, 0.1, 1e6, most, "huber1981"),
@@ -99,8 +100,8 @@ def predict(meaning: Callable[[SX], Servo], z: SX, covariance: SX, u: SX, h: SX)
 def correct(z: SX, covariance: SX, error: SX, variance: SX, gate: SX) -> tuple[SX, SX, SX]:
     """Return (z, P, squared error over its variance) after a position whose prediction was wrong by `error`.
 
-    An error beyond `gate` standard deviations counts as one of that size at most.
-    Source: jazwinski1970 chapter 8; huber1981 (bounded influence).
+    An error of e standard deviations beyond `gate` counts as gate^2 / e: less, the further it is out.
+    Source: jazwinski1970 chapter 8; huber1981 (influence that redescends).
     """
     expected = covariance[0, 0] + variance
     size = error**2 / expected

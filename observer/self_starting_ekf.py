@@ -62,12 +62,14 @@ OFF = 2.0  # the mean of late, which scatters more, up to which the model may be
 FAINTEST = 1e-5  # share of the process noise that stays when the model is right
 SETTLED = 5.0  # s after a start, from which the innovations are judged
 BEFORE = 2.0  # s: the innovations of late are compared with their mean as it was one to two of these ago
-LOST = (8.0, 1000.0)  # s after a start, and mean innovation, with which it went nowhere
+LOST = (2.0, 3.0, 100.0)  # between so many s after a start the innovations of late stay above this: it went nowhere (else: below 1)
 FIRST_MEMORY = 1.0  # s
 SAME = 100.0  # samples with the same count, at most, that share one rounding error
 FADING = 8  # power of time with which the early noise goes
 DOUBT = 10.0  # s after a start, up to which the model does not count as right whatever the innovations say
 WATCHFUL = 10.0  # s after a start, from which a change is looked for
+TRUSTED = 20.0  # s after a start, from which the model may be known to be right
+SURE = 0.1  # standard error of a valid estimate, over the estimate; of sigma_i over c times the Coulomb level
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,8 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
 def _judge(p: Namespace, h: SX, size: SX) -> tuple[dict[str, SX], SX, SX]:
     """Return (the averages of the innovations, whether the servo has changed, whether the filter is lost).
 
-    The innovations of late are compared with their mean as it was some seconds ago, which a change has not reached yet.
+    The innovations of late are compared with their mean as it was some seconds ago, which a change has not reached yet. Where
+    that mean says that the model was right, they need not grow by much: a right model's never do.
     Source: basseville1993 chapter 2 (a mean of late against the mean before).
     """
     size = ca.fmin(size, 1e9)
@@ -160,11 +163,14 @@ def _judge(p: Namespace, h: SX, size: SX) -> tuple[dict[str, SX], SX, SX]:
     averages = {
         "innovation": mean,
         "innovation_late": late,
+        "innovation_least": ca.if_else(p.age < LOST[0], late, ca.fmin(late, p.innovation_least)),
         "innovation_kept": ca.if_else(kept, mean, p.innovation_kept),
         "innovation_before": ca.if_else(kept, p.innovation_kept, p.innovation_before),
     }
-    changed = ca.logic_and(p.age > WATCHFUL, late > p.change_ratio * ca.fmax(p.innovation_before, 1))
-    lost = ca.logic_and(ca.logic_and(p.age > LOST[0], p.age < WATCHFUL), mean > LOST[1])
+    right = ca.logic_and(p.innovation_before < 1, p.age > TRUSTED)
+    most = ca.if_else(right, p.surprise, p.change_ratio * ca.fmax(p.innovation_before, 1))
+    changed = ca.logic_and(p.age > WATCHFUL, late > most)
+    lost = ca.logic_and(ca.logic_and(p.age > LOST[1], p.age < WATCHFUL), p.innovation_least > LOST[2])
     return averages, changed, lost
 
 
@@ -200,7 +206,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         "age": ca.if_else(runs, p.age + h, 0),
         **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
     }
-    return Update(new, _estimates(p), _signals(p), {"joint0": s.y1}, {name: p.starts > 0 for name in NAMES})
+    return Update(new, _estimates(p), _signals(p), {"joint0": s.y1}, _valid(p))
 
 
 def _averaged(p: Namespace, z: SX, h: SX) -> SX:
@@ -217,6 +223,22 @@ def _estimates(p: Namespace) -> dict[str, SX]:
     servo = _servo(stack(p, "mean", MEANS))
     sigma = {f"sigma{i}": each for i, each in enumerate(servo.sigma)}
     return {"alpha2": servo.alpha2, "b": servo.b, "Fc": servo.sigma[0] / servo.c, **sigma, "c": servo.c, "tau": servo.tau}
+
+
+def _valid(p: Namespace) -> dict[str, SX]:
+    """Return what the covariance calls certain; of tau, which may be zero, against what was known of it before.
+
+    Source: jazwinski1970 chapter 8; sigma_i = exp(ln c) G_i to first order.
+    """
+    z, covariance = stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER)
+    unit = SX.eye(kalman.ORDER)
+    slopes = {"alpha2": (unit[:, ALPHA2], z[ALPHA2]), "b": (unit[:, B], z[B]), "c": (unit[:, LN_C], SX(1))}
+    slopes |= {f"sigma{i}": (unit[:, place] + z[place] * unit[:, LN_C], z[LEVELS[0]]) for i, place in enumerate(LEVELS)}
+    slopes |= {"Fc": (unit[:, LEVELS[0]], z[LEVELS[0]]), "tau": (unit[:, TAU], p.tau_spread)}
+    return {
+        name: ca.logic_and(p.runs > 0, ca.dot(slope, covariance @ slope) < (SURE * size) ** 2)
+        for name, (slope, size) in slopes.items()
+    }
 
 
 def _signals(p: Namespace) -> dict[str, SX]:
@@ -247,6 +269,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
         own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
         own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE),
+        own("surprise", "s", "1", 50.0, 1.0, 1e12, "innovations of late that are a change where the model was right", CHANGE),
         own("change_ratio", "rho", "1", 1e4, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
     )
 
@@ -273,6 +296,7 @@ METHOD = Method(
         State("age", "s", "time since the start"),
         State("innovation", "1", "mean squared innovation over its variance", initial=1.0),
         State("innovation_late", "1", "the same, of late", initial=1.0),
+        State("innovation_least", "1", "the least of that since two seconds after the start", initial=1.0),
         State("innovation_kept", "1", "the first, as it was less than two seconds ago", initial=1.0),
         State("innovation_before", "1", "the first, as it was two seconds before that", initial=1.0),
     ),

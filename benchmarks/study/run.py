@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -87,11 +87,19 @@ def compute(seeds: int, out: Path, workers: int) -> None:
     """Compute what is missing, with a bar of progress."""
     todo = [job for job in plan(seeds) if not (out / job.name).exists()]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar, ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        task = bar.add_task("study", total=len(todo))
-        for future in as_completed([pool.submit(job.run, out) for job in todo]):
-            future.result()
-            bar.advance(task)
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    try:
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task("study", total=len(todo))
+            for future in as_completed([pool.submit(job.run, out) for job in todo]):
+                future.result()
+                bar.advance(task)
+    except BaseException:  # the rest is not waited for: what is done is kept, and each file is written in one piece
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in active_children():
+            child.terminate()
+        raise
+    pool.shutdown()
 
 
 def main() -> int:
@@ -103,6 +111,8 @@ def main() -> int:
     parser.add_argument("--docs", type=Path, default=HERE.parents[1] / "docs" / "study", help="folder of the pages")
     parser.add_argument("--pages", action="store_true", help="only write the pages")
     given = parser.parse_args()
+    if given.seeds < 1 or given.jobs < 1:
+        parser.error("--seeds and --jobs: at least 1")
     out = results_folder(given.out)
     if not given.pages:
         compute(given.seeds, out, given.jobs)
@@ -116,4 +126,8 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        print("stopped; what is done is kept, the same command goes on", file=sys.stderr)
+        sys.exit(130)

@@ -50,6 +50,11 @@ MISTAKES = [
     ("stimulus of u and controller", "[observer]",
      '[controller]\n[[stimuli]]\nvariable = "u"\npoints = [["0 s", "1 V"]]\n[observer]',
      ["replaces the controller", "remove [controller]"]),
+    ("two stimuli of one input", "[[checks]]", '[[stimuli]]\nvariable = "load_scale"\npoints = [["0 s", 1.0]]\n'
+     '[[stimuli]]\nvariable = "load_scale"\npoints = [["1 s", 2.0]]\n[[checks]]',
+     ["stimuli[1].variable", "put all points into one"]),
+    ("half an order", "[observer]", "[controller.parameters]\norder = 1.5\n[observer]",
+     ["controller.parameters.order", "whole number"]),
     ("stimulus of an output", "[[checks]]", '[[stimuli]]\nvariable = "v"\npoints = [["0 s", 1.0]]\n[[checks]]', ["no free input"]),
     ("stimulus order", "[[checks]]", '[[stimuli]]\nvariable = "load_scale"\npoints = [["1 s", 1.0], ["1 s", 2.0]]\n[[checks]]',
      ["stimuli[0].points[1]", "increase"]),

@@ -26,14 +26,14 @@ PLACES = ("modified.theta", "modified.v", "modified.w")
 
 
 @cache
-def record(plant: str, seconds: float, order: int = 1, change: float = 0.0) -> dict[str, np.ndarray]:
-    """Return u, position, velocity and encoder under the reference controller; the normal load doubles at `change`, if given."""
+def record(plant: str, seconds: float, order: int = 1, change: float = 0.0, load: float = 2.0) -> dict[str, np.ndarray]:
+    """Return u, position, velocity and encoder under the reference controller; the normal load changes at `change`, if given."""
     law, parameters = LAWS[plant]
     servo = Instance("plant", Fmu(obtain("plant", law=law)), SERVO | parameters)
     controller = Instance("controller", Fmu(obtain("controller")), {"seed": 5.0, "order": float(order)})
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     names = (("controller", "u"), ("plant", "theta"), ("plant", "v"))
-    events = ((round(change / STEP), ("plant", "load_scale"), 2.0),) if change else ()
+    events = ((round(change / STEP), ("plant", "load_scale"), load),) if change else ()
     trace = simulate(Bus((servo, controller), round(seconds / STEP), STEP, links, events, record=names))
     assert trace.failure is None
     data = {port[1]: np.ascontiguousarray(trace[port]) for port in names}
@@ -116,7 +116,8 @@ def test_the_prediction_carries_the_covariance_by_the_slope_of_the_step():
 def test_it_starts_itself_and_finds_all_six_from_the_encoder(order):
     rows = observed(BEST, record("S", 60.0, order), [f"{BEST}.starts"])
     assert settled(rows) < 10.0
-    assert errors(rows)[-1].max() < 0.04  # with one step a sample: 0.06
+    assert errors(rows)[-1].max() < 0.04
+    assert errors(observed(BEST, record("S", 60.0, order), encoder=False))[-1].max() < 0.01  # one step a sample: 0.02
     assert rows[-1, -1] == 1.0  # one start, and no change seen where nothing changed
 
 
@@ -139,8 +140,27 @@ def test_it_starts_anew_when_the_load_doubles():
     assert rows[29_999, -1] == 1.0
     assert rows[-1, -1] == 2.0
     assert 30.0 < settled(rows, loaded) < 40.0
-    deaf = observed(BEST, data, change_ratio=1e12)
+    deaf = observed(BEST, data, change_ratio=1e12, surprise=1e12)
     assert settled(deaf, loaded) > 49.0  # without the detection it does not come back
+
+
+@pytest.mark.parametrize("load", [0.7, 1.1])
+def test_it_sees_a_small_change_of_the_load_too(load):
+    rows = observed(BEST, record("S", 50.0, change=30.0, load=load), [f"{BEST}.starts"])
+    loaded = SET_S * [1, 1, load, load, load, 1]
+    assert rows[-1, -1] == 2.0
+    assert 30.0 < settled(rows, loaded) < 40.0
+    assert errors(rows, loaded)[-1].max() < 0.3
+
+
+def test_an_estimate_is_valid_where_it_is_certain():
+    rows = observed(BEST, record("S", 20.0), [f"{name}_valid" for name in SIX])
+    valid, error = rows[:, 6:] > 0, errors(rows)
+    assert not valid[:1000].all(axis=1).any()  # not from its first second
+    assert valid[10_000:].all()
+    assert error[valid].max() < 30.0
+    assert np.quantile(error[valid], 0.99) < 8.0
+    assert error[~valid].max() > 50.0
 
 
 def test_it_finds_bristle_damping_where_there_is_some():
