@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,12 +47,12 @@ class Bench:
     linear: bool = False  # the axis does not turn
     turn: float = 2 * math.pi
 
-    @property
+    @cached_property
     def train(self) -> Mask:
         """Segments that the search may see."""
         return np.asarray(self.segments.judged & ~self.held)
 
-    @property
+    @cached_property
     def held(self) -> Mask:
         """Segments kept from the search: none with an end of the range, for what begins there may show nowhere else."""
         m = self.motion

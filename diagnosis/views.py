@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,30 +128,31 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     }
 
 
-def spectra(time: Array, rough: Array, signs: Array) -> tuple[Array, Array]:
-    """Return frequencies (k,) [Hz] within `TONES` and the amplitude spectra (draws, k) of a torque in segments with signs.
+def spectrum(time: Array, rough: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """Return frequencies (k,) [Hz] within `TONES` and what gives a torque's amplitudes (k,) there for signs (segments,).
 
-    Parameters: time and rough torque (segments, bins), signs (draws, segments).
+    Parameters: time and rough torque (segments, bins).
     """
     step = float(np.median(np.diff(time, axis=1)))
     place = np.rint((time - time.min()) / step).astype(int)
     length = int(place.max()) + 1
     frequency = np.fft.rfftfreq(PADDED * length, step)
     inside = (frequency >= TONES[0]) & (frequency <= TONES[1])
-    found = []
-    for each in signs:
+
+    def amplitudes(signs: Array) -> Array:
         even = np.zeros(length)
-        even[place] = each[:, None] * rough
-        found.append(np.abs(np.fft.rfft(even, PADDED * length))[inside])
-    return np.asarray(frequency[inside]), np.array(found)
+        even[place] = signs[:, None] * rough
+        return np.asarray(np.abs(np.fft.rfft(even, PADDED * length))[inside])
+
+    return np.asarray(frequency[inside]), amplitudes
 
 
 def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str, float | None]]:
     """Return waves whose frequency is chosen by the residual: in time and along the position, with a label and periods."""
     middle = _middle(lens, rough)
     r, theta = rough.ravel(), m.theta[middle]
-    frequency, power = spectra(m.time[middle].reshape(rough.shape), rough, np.ones((1, len(rough))))
-    tone = float(frequency[int(np.argmax(power[0]))])
+    frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), rough)
+    tone = float(frequency[int(np.argmax(amplitudes(np.ones(len(rough)))))])
     found: dict[str, tuple[Array, str, float | None]] = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz", None)}
     turns = np.arange(1.0, PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
@@ -204,9 +205,10 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
 def line_p(time: Array, rough: Array, signs: Array) -> float:
     """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
 
-    Each draw finds its own frequency, as the data did. Parameters as of `spectra`.
+    Each draw finds its own frequency, as the data did. Parameters as of `spectrum`; signs (draws, segments).
     """
-    lines = np.array([spectra(time, rough, each[None])[1].max() for each in signs])
+    _, amplitudes = spectrum(time, rough)
+    lines = np.array([amplitudes(each).max() for each in signs])
     return chance(lines[1:], lines[0])
 
 

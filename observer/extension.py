@@ -17,7 +17,7 @@ SX = ca.SX
 
 
 def states(n: int) -> tuple[State, ...]:
-    """Declare Phi (its upper triangle) and Y."""
+    """Declare Phi (its lower triangle) and Y."""
     return (
         *symmetric_states("phi", "1", "extended regressor", n),
         *vector_states("y", "1", "extended output", n),

@@ -8,21 +8,10 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.normalised import units
-from bristle.model.variables import Namespace, Parameter, State
+from bristle.model.variables import Namespace, Parameter
 from bristle.observer import kalman, rls
 from bristle.observer.kalman import STATES
-from bristle.observer.method import (
-    Method,
-    Sample,
-    Update,
-    Workshop,
-    stack,
-    stack_symmetric,
-    symmetric_states,
-    unstack,
-    unstack_symmetric,
-    vector_states,
-)  # fmt: skip
+from bristle.observer.method import Method, Sample, Update, Workshop
 
 SX = ca.SX
 ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c", "tau")
@@ -44,7 +33,7 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX]:
 
     Source: jazwinski1970 chapter 8; ljung1979 (parameters as states).
     """
-    z, covariance = kalman.predict(_servo, stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER), s.u, s.period)
+    z, covariance = kalman.predict(_servo, *kalman.read(p), s.u, s.period)
     rates = [SX(0), p.noise_v, p.noise_w, *(p.noise_parameters * spread**2 for spread in SPREADS.values())]
     error = s.y1 + p.resolution / 2 - z[0]
     noisy = kalman.noisy(covariance, rates, s.period)
@@ -61,15 +50,13 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     step1 = rls.estimates(p)
     fixed = [p[f"{name}_start"] for name in STARTS]
     waiting = ca.vertcat(s.y1 + p.resolution / 2, p.last_v, 0, step1["alpha2"], step1["b"], *fixed)
-    cov = stack_symmetric(p, "cov", kalman.ORDER)
-    servo = _servo(stack(p, "joint", kalman.ORDER)[STATES:])
+    joint, cov = kalman.read(p)
+    servo = _servo(joint[STATES:])
     friction = servo.sigma[0] / ca.fmax(servo.c, LOWEST["c"])
     return Update(
-        next=rls.fit(p, s)
-        | unstack("joint", ca.if_else(go, z, waiting))
-        | unstack_symmetric("cov", ca.if_else(go, covariance, cov)),
+        next=rls.fit(p, s) | kalman.write(ca.if_else(go, z, waiting), ca.if_else(go, covariance, cov)),
         estimates={**{name: p[f"joint{STATES + i}"] for i, name in enumerate(ENTRIES)}, "Fc": friction},
-        signals={"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": servo.friction(p.joint1, p.joint2)},
+        signals=kalman.signals(p, _servo),
         first={"joint0": s.y1},
         valid={name: SX(go) for name in (*ENTRIES, "Fc")},
     )
@@ -92,11 +79,6 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     )
 
 
-def _covariance() -> tuple[State, ...]:
-    spreads = (*STATE_SPREADS, *SPREADS.values())
-    return symmetric_states("cov", "1", "covariance of the vector", kalman.ORDER, [spread**2 for spread in spreads])
-
-
 METHOD = Method(
     "joint_ekf",
     "joint extended Kalman filter from position with constant noise, after 10 s of least squares",
@@ -105,8 +87,11 @@ METHOD = Method(
     parameters("joint_ekf"),
     (
         *rls.STATES,
-        *vector_states("joint", "1", "theta, v, w, alpha2, b, sigma0, sigma1, sigma2, c, tau", kalman.ORDER),
-        *_covariance(),
+        *kalman.states(
+            "theta, v, w, alpha2, b, sigma0, sigma1, sigma2, c, tau",
+            "covariance of the vector",
+            (*STATE_SPREADS, *SPREADS.values()),
+        ),
     ),
     _equations,
 )

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from bristle.model.basis import BASIS_COUNT, gaussian
-from bristle.model.variables import Parameter
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer.method import stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
 
 SX = ca.SX
 STATES = 3  # theta, v, w
@@ -48,6 +49,28 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         Parameter(f"{prefix}.resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, step, "dixit2008 section IV-A"),
         Parameter(f"{prefix}.gate", "g", "1", 3.0, 0.1, 1e6, most, "huber1981"),
     )
+
+
+def states(vector: str, covariance: str, spreads: Sequence[float] = ()) -> tuple[State, ...]:
+    """Declare the vector and its covariance, which starts from these standard deviations, or from zero."""
+    squares = [spread**2 for spread in spreads]
+    return (*vector_states("joint", "1", vector, ORDER), *symmetric_states("cov", "1", covariance, ORDER, squares))
+
+
+def read(p: Namespace) -> tuple[SX, SX]:
+    """Return (vector, covariance)."""
+    return stack(p, "joint", ORDER), stack_symmetric(p, "cov", ORDER)
+
+
+def write(z: SX, covariance: SX) -> dict[str, SX]:
+    """Return vector and covariance as states."""
+    return unstack("joint", z) | unstack_symmetric("cov", covariance)
+
+
+def signals(p: Namespace, meaning: Callable[[SX], Servo]) -> dict[str, SX]:
+    """Return what the vector says of position, velocity and friction."""
+    friction = meaning(read(p)[0][STATES:]).friction(p.joint1, p.joint2)
+    return {"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": friction}
 
 
 def rounding(resolution: SX) -> SX:

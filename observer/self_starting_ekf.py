@@ -23,18 +23,7 @@ from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, kalman, rls
 from bristle.observer.kalman import STATES
-from bristle.observer.method import (
-    Method,
-    Sample,
-    Update,
-    Workshop,
-    stack,
-    stack_symmetric,
-    symmetric_states,
-    unstack,
-    unstack_symmetric,
-    vector_states,
-)  # fmt: skip
+from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
 
 SX = ca.SX
 NAMES = units("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau")
@@ -122,7 +111,7 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
     Source: jazwinski1970 chapter 8; ljung1983 chapter 5; mehra1970 (noise from innovations).
     """
     h = s.period
-    z, covariance = kalman.predict(_servo, stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER), s.u, h)
+    z, covariance = kalman.predict(_servo, *kalman.read(p), s.u, h)
     prior = stack(p, "prior", kalman.ORDER)
     known = SX(1)
     for i in range(STATES, kalman.ORDER):
@@ -188,13 +177,12 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     def choose(running: SX, starting: SX, waiting: SX) -> SX:
         return SX(ca.if_else(runs, running, ca.if_else(go, starting, waiting)))
 
-    joint, cov = stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER)
+    joint, cov = kalman.read(p)
     follow = ca.vertcat(s.y1, -r.h[0], joint[2:])
     new = {
         **r.next,
         **information.write(ca.if_else(runs, 0, seen)),
-        **unstack("joint", choose(z, start.joint, follow)),
-        **unstack_symmetric("cov", choose(covariance, ca.diag(start.spread**2), cov)),
+        **kalman.write(choose(z, start.joint, follow), choose(covariance, ca.diag(start.spread**2), cov)),
         **unstack("prior", choose(stack(p, "prior", kalman.ORDER), start.spread, stack(p, "prior", kalman.ORDER))),
         **unstack("mean", choose(_averaged(p, z, h), start.joint[STATES:], stack(p, "mean", MEANS))),
         "level": choose(p.level, start.level, p.level),
@@ -206,7 +194,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
         "age": ca.if_else(runs, p.age + h, 0),
         **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
     }
-    return Update(new, _estimates(p), _signals(p), {"joint0": s.y1}, _valid(p))
+    return Update(new, _estimates(p), kalman.signals(p, _servo), {"joint0": s.y1}, _valid(p))
 
 
 def _averaged(p: Namespace, z: SX, h: SX) -> SX:
@@ -230,7 +218,7 @@ def _valid(p: Namespace) -> dict[str, SX]:
 
     Source: jazwinski1970 chapter 8; sigma_i = exp(ln c) G_i to first order.
     """
-    z, covariance = stack(p, "joint", kalman.ORDER), stack_symmetric(p, "cov", kalman.ORDER)
+    z, covariance = kalman.read(p)
     unit = SX.eye(kalman.ORDER)
     slopes = {"alpha2": (unit[:, ALPHA2], z[ALPHA2]), "b": (unit[:, B], z[B]), "c": (unit[:, LN_C], SX(1))}
     slopes |= {f"sigma{i}": (unit[:, place] + z[place] * unit[:, LN_C], z[LEVELS[0]]) for i, place in enumerate(LEVELS)}
@@ -239,11 +227,6 @@ def _valid(p: Namespace) -> dict[str, SX]:
         name: ca.logic_and(p.runs > 0, ca.dot(slope, covariance @ slope) < (SURE * size) ** 2)
         for name, (slope, size) in slopes.items()
     }
-
-
-def _signals(p: Namespace) -> dict[str, SX]:
-    servo = _servo(stack(p, "joint", kalman.ORDER)[STATES:])
-    return {"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": servo.friction(p.joint1, p.joint2)}
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
@@ -283,8 +266,7 @@ METHOD = Method(
     (
         *rls.FILTER_STATES,
         *information.states(4),
-        *vector_states("joint", "1", "theta, v, w, alpha2, b, G0, G1, G2, ln c, tau", kalman.ORDER),
-        *symmetric_states("cov", "1", "their covariance", kalman.ORDER),
+        *kalman.states("theta, v, w, alpha2, b, G0, G1, G2, ln c, tau", "their covariance"),
         *vector_states("prior", "1", "their standard deviations at the start", kalman.ORDER),
         *vector_states("mean", "1", "averages of alpha2, b, G0, G1, G2, ln c, tau", MEANS),
         State("level", "rad/s2", "Coulomb friction at the start"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import write_json
 from forms import EFFECTS, LOCAL, OUTSIDE, PARAMETERS, Fields, Generator, Setting, Shape, can_join, class_of, other_friction
 from gap import EVERY, Gap, measure
 from scene import LIMIT, Scene, draw_scene, log_uniform, with_friction
@@ -305,11 +305,7 @@ def write(case: Case, out: Path) -> None:
     for name, record in zip("ab", case.records, strict=True):
         np.savez_compressed(folder / f"{name}.npz", t=record.t, u=record.u, theta=record.theta)
     (folder / "model.toml").write_text(case.model, encoding="utf-8")
-    sealed = out / "answers" / f"{case.index:05d}.json"
-    sealed.parent.mkdir(exist_ok=True)
-    draft = sealed.with_suffix(".part")
-    draft.write_text(json.dumps(case.answer, indent=1), encoding="utf-8")
-    draft.replace(sealed)
+    write_json(out / "answers" / f"{case.index:05d}.json", case.answer, indent=1)
 
 
 def seal(out: Path) -> str:

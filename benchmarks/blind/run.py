@@ -29,6 +29,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"): 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 from cases import SELECTIONS, Spec, draw, plan, seal, write  # noqa: E402 - after the threads are set
+from common import write_json  # noqa: E402 - after the threads are set
 from page import put  # noqa: E402 - after the threads are set
 from score import tables  # noqa: E402 - after the threads are set
 from truth import library  # noqa: E402 - after the threads are set
@@ -62,10 +63,7 @@ def diagnose_one(folder: Path, target: Path) -> None:
     except Exception as error:
         result = {"verdict": "error", "error": f"{type(error).__name__}: {error}", "effects": [], "ties": []}
     result["seconds"] = time.process_time() - begun
-    target.parent.mkdir(exist_ok=True)
-    draft = target.with_suffix(".part")
-    draft.write_text(json.dumps(result), encoding="utf-8")
-    draft.replace(target)
+    write_json(target, result)
 
 
 def _work(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: int, label: str) -> None:
@@ -85,12 +83,11 @@ def generate(seed: str, out: Path, scale: float, jobs: int, only: Sequence[str])
     """Write the cases that are missing, and the seal of the answers."""
     groups = [group for name in only or SELECTIONS for group in SELECTIONS[name]]
     specs = [spec for spec in plan(seed, scale) if spec.group in groups]
-    out.mkdir(parents=True, exist_ok=True)
     note = {"seed": seed, "scale": scale}
     path = out / "plan.json"
     if path.exists() and json.loads(path.read_text(encoding="utf-8")) != note:
         raise SystemExit(f"{out} holds cases of another plan; give another folder")
-    path.write_text(json.dumps(note), encoding="utf-8")
+    write_json(path, note)
     library()  # compiled once, before the workers start
     missing = [spec for spec in specs if not (out / "answers" / f"{spec.index:05d}.json").exists()]
     _work(generate_one, [(seed, spec, out) for spec in missing], jobs, "generate")
@@ -127,7 +124,7 @@ def score_all(out: Path) -> tuple[str, str]:
         pairs.append((answer, json.loads(path.read_text(encoding="utf-8"))))
     figures, others, data = tables(pairs)
     (out / "score.md").write_text(f"{figures}\n\n{others}", encoding="utf-8")
-    (out / "score.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+    write_json(out / "score.json", data, indent=1)
     return figures, others
 
 

@@ -12,22 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from common import upper_bound
 from forms import class_of
-from scipy.stats import beta
 
 Json = dict[str, Any]
-CONFIDENCE = 0.95
 SLACK = 1e-9
 OUTCOMES = ("right", "wrong", "tie with truth", "tie without", "none", "not_identifiable", "error")
 BINS = ((0.0, 1.3), (1.3, 1.6), (1.6, 2.0), (2.0, 4.0), (4.0, 10.0), (10.0, math.inf))
-
-
-def upper_bound(count: int, n: int) -> float:
-    """Return the one-sided 95 % upper bound of a share.
-
-    Source: clopper1934 (exact binomial limits).
-    """
-    return 1.0 if count >= n else float(beta.ppf(CONFIDENCE, count + 1, n - count))
 
 
 def lower_bound(count: int, n: int) -> float:

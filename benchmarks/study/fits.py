@@ -1,7 +1,6 @@
 """Output-error fits of lean models to a record, with exact derivatives: baselines, floor and information bound.
 
-The study's own, beside bristle.harness.fit, which fits FMUs by finite differences: hundreds of fits have to be quick here, and
-two ways to one floor check each other (tests/benchmarks).
+The study's own, beside bristle.harness.fit, which fits FMUs by finite differences: hundreds of fits have to be quick here.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from records import STEP
 from scipy.optimize import least_squares
 
 from bristle.harness.metrics import mse_percent
@@ -21,7 +21,6 @@ from bristle.model.program import Program
 from bristle.plant.servo import servo_program
 
 Array = NDArray[np.float64]
-STEP = 1e-3
 FREE = {
     "viscous": ("b", "a2"),
     "coulomb": ("b", "a2", "coulomb.Fc"),
@@ -30,6 +29,7 @@ FREE = {
 FIXED = {"J": 1.0, "u_max": 1e6}  # acceleration instead of torque; the record holds what the drive got
 LOW = {"b": -np.inf, "modified.sigma1": -np.inf, "modified.sigma2": -np.inf}
 SMALL = 1e-9
+NUDGE = 1e-6  # rad/s
 
 
 @cache
@@ -117,9 +117,8 @@ def bound(parameters: Mapping[str, float], u: Array, resolution: float, seconds:
     columns = [slopes[:-1, 0, i] * values[name] for i, name in enumerate(names) if name != "modified.tau"]
     columns.append(slopes[:-1, 0, names.index("modified.tau")])
     columns.append(np.ones(len(u)))
-    for name, size in (("v_start", 1e-6),):
-        moved, _ = Native(program("modified", False), {**values, name: size}).run(STEP, {"u": u}, ["theta"])
-        columns.append((moved[:-1, 0] - out[:-1, 0]) / size)
+    moved, _ = Native(program("modified", False), {**values, "v_start": NUDGE}).run(STEP, {"u": u}, ["theta"])
+    columns.append((moved[:-1, 0] - out[:-1, 0]) / NUDGE)
     whole = np.column_stack(columns)
     found = {}
     for second in seconds:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import bodies
 import numpy as np
-from fits import FIXED, bound, fit, neutral, simulated
+from fits import bound, fit, neutral, simulated
 from numpy.typing import NDArray
-from records import STEP, TRUE, changed, record
+from records import CHANGE, STEP, TRUE, changed, record
 
 from bristle.harness.fit import Data, regression
-from bristle.harness.metrics import error_percent, mse_percent
+from bristle.harness.metrics import BAND, LOADED, error_percent, mse_percent, settling
 from bristle.model.errors import SimulationError
 from bristle.model.native import Native
+from bristle.model.variables import Parameter
 from bristle.observer import methods, observer_program
 from bristle.observer.method import observer
 
@@ -28,7 +27,6 @@ SECONDS = 200.0
 CHECKS = (60.0, SECONDS)  # s, when estimates are judged
 SECOND_RECORD = 100.0
 BOUNDS = (15.0, 60.0)  # s, when errors are compared with the information bound
-BAND = 5.0  # percent
 SENSORS = {"clean": ("y_theta", "y_v"), "encoder": ("encoder", "encoder_v")}
 LEAN = {  # a lean model's parameters by the estimates they come from
     "modified": {"b": "b", "a2": "alpha2", "modified.sigma0": "sigma0", "modified.sigma1": "sigma1", "modified.sigma2": "sigma2",
@@ -47,20 +45,20 @@ def estimators() -> list[str]:
     return [name for name in methods() if estimated(name)]
 
 
-def told(method: str) -> dict[str, float]:
-    """Return the parameters that a method takes as known, with the true values (all plants have the same servo)."""
-    true = TRUE["S"]
-    return {p.name: true[p.symbol] for p in methods()[method].parameters if p.description.endswith("known")}
+def known(method: str) -> list[Parameter]:
+    """Return the parameters of a method that say what it does not estimate."""
+    return [p for p in methods()[method].parameters if p.description.endswith("known")]
+
+
+def told(method: str, true: Mapping[str, float] = TRUE["S"]) -> dict[str, float]:
+    """Return what a method takes as known, with true values (all plants have the same servo)."""
+    return {p.name: true[p.symbol] for p in known(method)}
 
 
 def estimated(method: str) -> list[str]:
     """Return what a method has an estimate of, valid or not, in the order of the tables."""
     outputs = {variable.name: expression for variable, expression in observer(methods()[method]).outputs.values()}
     return [name for name in PLACES if not outputs[f"{name}_hat"].is_constant()]
-
-
-def _hats(names: Any) -> list[str]:
-    return [f"{name}_hat" for name in names]
 
 
 def observed(
@@ -71,7 +69,7 @@ def observed(
     theta, velocity = SENSORS[sensor]
     inputs = {"u": data["u"], "y_theta": data[theta], "y_v": data[velocity]}
     instance = Native(observer_program(method), {"sample_time": step, **told(method), **values})
-    columns = [*_hats(names), *(f"{name}_valid" for name in names)]
+    columns = [*(f"{name}_hat" for name in names), *(f"{name}_valid" for name in names)]
     try:
         out, _ = instance.run(step, inputs, columns)
     except SimulationError as error:
@@ -93,29 +91,40 @@ def validation(final: Mapping[str, float], second: Mapping[str, Array]) -> tuple
     return None, math.nan
 
 
+def errors(method: str, rows: Array, valid: Array, true: Mapping[str, float]) -> tuple[list[str], Array]:
+    """Return the names of what a method has estimated and the truth is known of, and the errors [%] (samples, names).
+
+    What is not valid has no error. Parameters as `observed` returns them.
+    """
+    given = [p.symbol for p in known(method)]
+    places = [i for i, name in enumerate(PLACES) if name in true and name not in given and np.isfinite(rows[-1, i])]
+    names = [PLACES[i] for i in places]
+    hats = np.where(valid[:, places] > 0, rows[:, places], np.nan)
+    return names, error_percent(hats, np.array([true[name] for name in names]))
+
+
 def settled(error: Array) -> float | None:
     """Return when errors [%] of (samples, parameters) are within the band for good [s]; None: never, or there are none."""
-    outside = np.flatnonzero(~(np.abs(error) <= BAND).all(axis=1))
-    after = int(outside[-1]) + 1 if len(outside) else 0
-    return after * STEP if error.shape[1] and after < len(error) else None
+    if not error.shape[1]:
+        return None
+    second = settling(STEP * np.arange(1, len(error) + 1), np.abs(error).max(axis=1))
+    return second if math.isfinite(second) else None
 
 
 def judged(
     method: str, plant: str, data: Mapping[str, Array], second: Mapping[str, Array], sensor: str, checks: tuple[float, ...] = CHECKS
 ) -> Json:
     """Return what one method reaches on one record."""
-    known = {p.symbol: value for p in methods()[method].parameters for name, value in told(method).items() if name == p.name}
+    given = {p.symbol: TRUE["S"][p.symbol] for p in known(method)}
     rows, valid, failure = observed(method, data, sensor, {})
-    true = TRUE.get(plant, {})
-    places = [i for i, name in enumerate(PLACES) if name in true and name not in known and np.isfinite(rows[-1, i])]
-    error = error_percent(np.where(valid[:, places] > 0, rows[:, places], np.nan), np.array([true[PLACES[i]] for i in places]))
+    names, error = errors(method, rows, valid, TRUE.get(plant, {}))
     out: Json = {"failure": failure, "settling_s": settled(error), "checks": {}}
     for check in checks:
         k = round(check / STEP) - 1
         final = {name: float(rows[k, i]) if valid[k, i] > 0 else math.nan for i, name in enumerate((*PLACES, "Fc", "tau"))}
-        law, mse = validation(final | known, second)
-        errors = {PLACES[i]: float(error[k, j]) for j, i in enumerate(places)}
-        out["checks"][f"{check:g}"] = {"errors": errors, "law": law, "mse": mse, "estimates": final}
+        law, mse = validation(final | given, second)
+        off = dict(zip(names, error[k].tolist(), strict=True))
+        out["checks"][f"{check:g}"] = {"errors": off, "law": law, "mse": mse, "estimates": final}
     return out
 
 
@@ -181,8 +190,8 @@ def against_the_bound(plant: str, order: int, seed: int) -> Json:
     data = record(plant, order, seed, CHECKS[0])
     rows, _, _ = observed(BEST, data, "encoder", {})
     true = np.array([TRUE[plant][name] for name in PLACES])
-    errors = {f"{second:g}": (rows[round(second / STEP) - 1, : len(PLACES)] / true - 1).tolist() for second in BOUNDS}
-    return {"errors": errors, "bound": information(plant, data)}
+    off = {f"{second:g}": (rows[round(second / STEP) - 1, : len(PLACES)] / true - 1).tolist() for second in BOUNDS}
+    return {"errors": off, "bound": information(plant, data)}
 
 
 def two_bodies(plant: str, order: int, seed: int) -> Json:
@@ -195,14 +204,10 @@ def two_bodies(plant: str, order: int, seed: int) -> Json:
         out[sensor] = {}
         for method in estimators():
             declared = methods()[method].parameters
-            given = {p.name: bodies.TRUE[p.symbol] for p in declared if p.name in told(method)}
             begin = {p.name: bodies.START[name] for p in declared if (name := started(method, p.name)) in bodies.START}
-            known = [p.symbol for p in declared if p.name in given]
-            rows, valid, failure = observed(method, data, sensor, begin | given, bodies.STEP)
-            places = [i for i, name in enumerate(PLACES) if name in bodies.TRUE and name not in known and np.isfinite(rows[-1, i])]
-            final = np.where(valid[-1, places] > 0, rows[-1, places], np.nan)
-            error = error_percent(final, np.array([bodies.TRUE[PLACES[i]] for i in places]))
-            out[sensor][method] = {"errors": {PLACES[i]: float(e) for i, e in zip(places, error, strict=True)}, "failure": failure}
+            rows, valid, failure = observed(method, data, sensor, begin | told(method, bodies.TRUE), bodies.STEP)
+            names, error = errors(method, rows, valid, bodies.TRUE)
+            out[sensor][method] = {"errors": dict(zip(names, error[-1].tolist(), strict=True)), "failure": failure}
     return out
 
 
@@ -221,44 +226,27 @@ def starts_of_best(data: Mapping[str, Array]) -> float:
 
 def after_a_change(plant: str, order: int, seed: int) -> Json:
     """Return for each method how long it takes to be within 5 % again after the normal load has doubled at 60 s."""
-    data, true = changed(plant, order, seed), dict(TRUE[plant])
+    data = changed(plant, order, seed)
     out: Json = {}
-    before = round(CHECKS[0] / STEP)
-    for name in ("sigma0", "sigma1", "sigma2"):
-        true[name] *= 2.0
+    true = {name: 2.0 * value if name in LOADED else value for name, value in TRUE[plant].items()}
     for method in estimators():
-        known = [p.symbol for p in methods()[method].parameters if p.name in told(method)]
         rows, valid, failure = observed(method, data, "encoder", {})
-        places = [i for i, name in enumerate(PLACES) if name not in known and np.isfinite(rows[-1, i])]
-        error = error_percent(np.where(valid[:, places] > 0, rows[:, places], np.nan), np.array([true[PLACES[i]] for i in places]))
-        out[method] = {"back_s": settled(error[before:]), "failure": failure}
+        _, error = errors(method, rows, valid, true)
+        out[method] = {"back_s": settled(error[round(CHANGE / STEP) :]), "failure": failure}
     return out
 
 
 def from_spread_starts(plant: str, order: int, seed: int, runs: int) -> Json:
-    """Return for each method that has starts how often it is not within 5 % at 60 s, from starts that are far off."""
+    """Return for each method that has starts how often it is not within 5 % at 60 s, valid or not, from starts that are far off."""
     data = {name: values[: round(CHECKS[0] / STEP)] for name, values in record(plant, order, seed, CHECKS[0]).items()}
     out: Json = {}
     for method in estimators():
-        random, failed, names = np.random.default_rng([order, seed]), 0, spread_starts(method, plant, np.random.default_rng(0))
-        if not names:
+        random, failed = np.random.default_rng([order, seed]), 0
+        if not spread_starts(method, plant, np.random.default_rng(0)):
             continue
-        known = [p.symbol for p in methods()[method].parameters if p.name in told(method)]
         for _ in range(runs):
             rows, _, failure = observed(method, data, "encoder", spread_starts(method, plant, random))
-            places = [i for i, name in enumerate(PLACES) if name not in known and np.isfinite(rows[-1, i])]
-            error = error_percent(rows[-1, places], np.array([TRUE[plant][PLACES[i]] for i in places]))
-            failed += failure is not None or not places or not bool((np.abs(error) <= BAND).all())
+            names, error = errors(method, rows, np.ones_like(rows), TRUE[plant])
+            failed += failure is not None or not names or not bool((np.abs(error[-1]) <= BAND).all())
         out[method] = {"runs": runs, "failed": failed}
     return out
-
-
-def write(path: Path, result: Json) -> None:
-    """Write a result in one piece."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix(".part")
-    draft.write_text(json.dumps(result), encoding="utf-8")
-    draft.replace(path)
-
-
-__all__ = ["BEST", "FIXED", "after_a_change", "from_spread_starts", "whole", "write"]

@@ -12,9 +12,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from common import upper_bound
 from jobs import BEST, BOUNDS, CHECKS, PLACES, estimated, estimators
 from records import STEP, record
-from scipy.stats import beta
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
@@ -31,14 +31,6 @@ WITH_TRUTH = ("S", "R")
 COST_STEPS = 60_000
 STARTED = "five on each record, of those parameters that a method has a start of (`self_starting_ekf`: of c alone)"
 COMMAND = "`scripts/study`"
-
-
-def bound(count: int, n: int) -> float:
-    """Return the exact one-sided 95 % upper bound of a rate.
-
-    Source: clopper1934.
-    """
-    return 1.0 if count >= n else float(beta.ppf(0.95, count + 1, n - count))
 
 
 def two(values: Iterable[float | None], form: str = ".1f") -> str:
@@ -197,7 +189,7 @@ def goals(results: Results) -> str:
 
     def add(what: str, values: Sequence[float], holds: Callable[[float], bool], goal: str, form: str = ".2f") -> None:
         missed = sum(not holds(x) for x in values)
-        rows.append([what, two(values, form), goal, f"{missed} of {len(values)}, {100 * bound(missed, len(values)):.1f} %"])
+        rows.append([what, two(values, form), goal, f"{missed} of {len(values)}, {100 * upper_bound(missed, len(values)):.1f} %"])
 
     for plant in WITH_TRUTH:
         entries = [result["encoder"][BEST] for result in results.of_best(plant)]
@@ -215,10 +207,10 @@ def goals(results: Results) -> str:
         counts = [r[BEST] for r in results.of("starts", plant)]
         failed, n = sum(c["failed"] for c in counts), sum(c["runs"] for c in counts)
         rows.append([f"{plant}: starts ten times off, not within 5 % at {EARLY} s", f"{failed} of {n}", "0",
-                     f"{failed} of {n}, {100 * bound(failed, n) if n else 100:.1f} %"])  # fmt: skip
+                     f"{failed} of {n}, {100 * upper_bound(failed, n) if n else 100:.1f} %"])  # fmt: skip
     false = [result["changes"] > 0 for plant in (*WITH_TRUTH, *FIT) for result in results.of_best(plant)]
     rows.append(["changes found on unchanged records", f"{sum(false)} of {len(false)}", "<= 1 of 60",
-                 f"{sum(false)} of {len(false)}, {100 * bound(sum(false), len(false)):.1f} %"])  # fmt: skip
+                 f"{sum(false)} of {len(false)}, {100 * upper_bound(sum(false), len(false)):.1f} %"])  # fmt: skip
     for plant in WITH_TRUTH:
         for second in BOUNDS:
             reached = two(efficiency(results, plant, f"{second:g}"))

@@ -25,6 +25,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 import jobs  # noqa: E402 - after the threads are set
+from common import write_json  # noqa: E402 - after the threads are set
 from pages import publish  # noqa: E402 - after the threads are set
 from records import TRUE  # noqa: E402 - after the threads are set
 from rich.console import Console  # noqa: E402 - after the threads are set
@@ -61,7 +62,7 @@ class Job:
 
     def run(self, out: Path) -> None:
         """Compute and write."""
-        jobs.write(out / self.name, WORK[self.kind](self.plant, self.order, self.seed))
+        write_json(out / self.name, WORK[self.kind](self.plant, self.order, self.seed))
 
 
 def plan(seeds: int) -> Iterator[Job]:

@@ -1,8 +1,9 @@
-"""The blind test is a program, not a package: its folder goes on the path."""
+"""The blind test is a program, not a package: its folder goes on the path, and the one that it shares."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+sys.path[:0] = [str(BENCHMARKS / "blind"), str(BENCHMARKS)]

@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 from cases import seal
+from common import upper_bound
 from forms import class_of
 from run import check_seal
-from score import Judged, figures, normalise, parameter_error, parameter_rows, tables, upper_bound
+from score import Judged, figures, normalise, parameter_error, parameter_rows, tables
 
 Json = dict[str, Any]
 Pair = tuple[Json, Json]
