@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from bristle.diagnosis.fit import Fit, Problem, evaluate, refit
 
-SHARE = 0.2  # of a gain: what changes more with the step of the simulation is not named
+SHARE = 0.2  # of a gain: what falls more with the step of the simulation is not named
+LASTING = 3.0  # unless so many times the null's level is left
 STEPS = 4  # of a refit, where finer steps move the optimum
 
 
@@ -25,3 +26,11 @@ def finer_gain(problem: Problem, plain: Fit, best: Fit) -> float:
 def steady(gain: float, finer: float) -> bool:
     """True if a gain is the same with finer steps."""
     return abs(finer - gain) <= SHARE * abs(gain)
+
+
+def numerical(gain: float, finer: float, level: float) -> bool:
+    """True if a gain vanishes with finer steps: it falls, to where chance comes near (`level`, all in nats).
+
+    Contacts go another way with each step size, which changes a gain but does not take it away.
+    """
+    return finer < (1 - SHARE) * gain and finer < LASTING * level

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bristle.diagnosis import result as answer
-from bristle.diagnosis.views import MEASURED, STRETCHES, Share, appearances, is_form, is_same, periods_of
+from bristle.diagnosis.views import MEASURED, STRETCHES, Share, is_form, is_same, periods_of
 from bristle.plant.effects import effect as find_effect
 
 LEFT = 0.15  # share of the squared error that a view must explain before something is said to remain
 CERTAIN = 0.03  # p over all views, from which on a share is believed
-VAIN = 0.9  # of the error before: a name that leaves more on the stretches kept from the search is not the whole story
-OWN, OTHER = 0.1, 0.05  # and of the error before, once an effect is named: in a view of its own (a form that is not
-# quite the catalogue's leaves as much) and in any other
-SUREST = 0.001  # p that no draw reaches: where nothing is named, a share of OTHER is enough then (1 more control of 240 is
-# flagged, 7 more of 240 records with an effect of no catalogue)
+GAP, SAME = 0.1, 0.05  # and of the error before, once an effect is named; a wave that repeats as the named one does
+SUREST, FAINT = 0.001, 0.05  # p that no draw reaches: where nothing is named, such a share is enough then (1 more control of 240
+# is flagged, 7 more of 240 records with an effect of no catalogue)
 ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there
 
 
@@ -29,10 +27,9 @@ def remains(
     """
     rattles = any(find_effect(name).coupling for name in named)  # no two runs of a loose load agree in each stretch
     seen = [share for share in after if share.view not in MEASURED and not (rattles and share.view == STRETCHES)]
-    own = {view for name in named for view in appearances(name)}
     waves = [periods for name in named if (periods := periods_of(name, values, turn)) is not None]
     left = gap.after / gap.before if named and gap.before > 0 else 1.0
-    if named and fell * VAIN < 1 and not rattles and not any(find_effect(name).local for name in named):
+    if named and fell < 1 and not rattles and not any(find_effect(name).local for name in named):
         return answer.Remains(True, seen[0].view, seen[0].share)
     certain = []
     for share in seen:
@@ -41,8 +38,8 @@ def remains(
             continue
         certain.append(share)
         form = any(is_form(share.periods, wave) for wave in waves)
-        least = OWN if share.view in own and not same else OTHER
-        if share.share >= (LEFT if named or share.p > SUREST else OTHER) and share.share * left >= least and not form:
+        least = (SAME if same else GAP) if named else 0.0
+        if share.share >= (LEFT if named or share.p > SUREST else FAINT) and share.share * left >= least and not form:
             return answer.Remains(True, share.view, share.share)
     first = (certain or after)[0]
     return answer.Remains(False, first.view if certain else None, first.share)

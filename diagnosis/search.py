@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from bristle.diagnosis.bench import LONG, Bench, Stage, lens_of
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Start, advance, evidence, explore, pursue, scanned, starts
 from bristle.diagnosis.fit import Fit, Problem, evaluate, refit, rescored, resume
-from bristle.diagnosis.judge import CLEAR, DOUBTLESS, SIZE, Verdict, judged
+from bristle.diagnosis.judge import AGREED, CLEAR, DOUBTLESS, SIZE, Verdict, judged
 from bristle.diagnosis.lens import Lens
 from bristle.diagnosis.null import Null, largest_gain
-from bristle.diagnosis.numerics import steady
+from bristle.diagnosis.numerics import numerical
 from bristle.diagnosis.size import fall, squares
 from bristle.diagnosis.views import MEASURED, Share, is_form, periods_of, shares
 from bristle.plant.effects import effect as find_effect
@@ -31,6 +31,7 @@ MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise
 PLAIN = 1.6  # a further effect lowers the error so, and shows anything on segments kept from the search or is local (of effects
 # that were not there, gained `CLEAR` times the level and were no wave's form, one lowered it by 1.9, the others by less than 1.5),
 MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
+SURE, ASIDE = 5.0, 0.25  # or gains so many times the level and this share, and `AGREED` on segments kept from the search,
 MUCH, AGAIN = 1.5, 15.0  # or so, or gains this share, and gains so many nats on segments kept from the search
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
 
@@ -194,6 +195,8 @@ def worth_adding(verdict: Verdict, first: float) -> bool:
     level = verdict.null.level(verdict.best.name)
     if verdict.size >= PLAIN and verdict.gain > CLEAR * level and (verdict.kept > 0 or find_effect(verdict.best.name).local):
         return True
+    if verdict.gain >= max(SURE * level, ASIDE * first) and verdict.kept >= AGREED:
+        return True
     strong, holds = verdict.gain >= ALSO * first, verdict.kept >= AGAIN
     return (strong and (holds or (verdict.size >= MORE and verdict.kept > 0))) or (holds and verdict.size >= MUCH)
 
@@ -220,8 +223,8 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
         if any(group(name) != group(verdict.best.name) for name in verdict.ties):
             rounds[-1] = replace(verdict, decision="several effects explain it alike")
             break
-        if verdict.finer is not None and not steady(verdict.gain, verdict.finer):
-            why = f"'{verdict.best.name}' is numerical: its gain changes with the step of the simulation"
+        if verdict.finer is not None and numerical(verdict.gain, verdict.finer, verdict.null.level(verdict.best.name)):
+            why = f"'{verdict.best.name}' is numerical: its gain vanishes with finer steps of the simulation"
             rounds[-1] = replace(verdict, decision=why)
             break
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)

@@ -15,12 +15,11 @@ from scipy.stats import f as f_ratio
 from bristle.diagnosis.fit import FREEDOM
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.null import chance
-from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
 
 FOLDS = 5
-FLIPS = 999  # random signs of segments, for the significance
+FLIPS, OFTEN = 999, 20  # random signs of segments, for the significance; draws as high after which a line is an ordinary one
 RIDGE = 1e-3  # of a view's own power
 KNOTS = 9
 TONES = (0.2, 45.0)  # Hz
@@ -48,14 +47,6 @@ class Share:
     label: str = ""
     alone: float = 1.0
     periods: float | None = None
-
-
-def appearances(name: str) -> set[str]:
-    """Return the views in which an effect shows, in its own form or in one that is close to it."""
-    effect = find_effect(name)
-    kin = {"u": ("u", "u x direction", "v x u"), "history": ("history", STRETCHES, "u x direction"), "frequency": ("tone",)}
-    found = {view for own in effect.residual for view in kin.get(own, (own,))}
-    return found | {STRETCHES} if effect.local else found
 
 
 def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:
@@ -205,11 +196,18 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
 def line_p(time: Array, rough: Array, signs: Array) -> float:
     """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
 
-    Each draw finds its own frequency, as the data did. Parameters as of `spectrum`; signs (draws, segments).
+    Each draw finds its own frequency, as the data did. Where that is often it is known early, and the other draws are
+    saved. Parameters as of `spectrum`; signs (draws, segments).
+
+    Source: besag1991 (sequential Monte Carlo p-values).
     """
     _, amplitudes = spectrum(time, rough)
-    lines = np.array([amplitudes(each).max() for each in signs])
-    return chance(lines[1:], lines[0])
+    seen, higher = amplitudes(signs[0]).max(), 0
+    for drawn, each in enumerate(signs[1:], 1):
+        higher += bool(amplitudes(each).max() >= seen)
+        if higher == OFTEN:
+            return higher / drawn
+    return (1 + higher) / len(signs)
 
 
 def _outbreaks(lens: Lens, m: Motion, live: NDArray[np.int_]) -> Share:

@@ -10,7 +10,7 @@ import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.bench import settle
-from bristle.diagnosis.numerics import steady
+from bristle.diagnosis.numerics import numerical, steady
 from bristle.diagnosis.prepare import base_of, bench_of, limits
 
 
@@ -65,3 +65,11 @@ def test_limits_follow_the_axis_and_the_records(tree: dict[str, Any], measured: 
 def test_a_gain_may_change_a_little_with_the_step() -> None:
     assert steady(100.0, 85.0)
     assert not steady(100.0, 70.0)
+
+
+def test_a_gain_is_numerical_if_it_vanishes_with_finer_steps() -> None:
+    assert numerical(100.0, 50.0, 20.0)
+    assert not numerical(100.0, 70.0, 20.0)  # still far above chance
+    assert not numerical(100.0, 130.0, 50.0)  # finer steps show even more
+    assert not numerical(100.0, 85.0, 50.0)
+    assert numerical(100.0, -300.0, 1.0)

@@ -29,6 +29,11 @@ def test_what_is_unsure_or_small_or_the_sensors_own_does_not(share):
     assert not said(share).flag
 
 
+@pytest.mark.parametrize(("share", "flag"), [(0.19, False), (0.21, True)])
+def test_what_is_left_is_measured_by_the_gap_there_was(share, flag):
+    assert said(Share("history", share, 0.001), "gravity").flag is flag
+
+
 def test_what_is_left_of_a_gap_that_was_closed_is_small():
     closed = Gap(2.0, 0.05, 0.05, "(rad)2")
     assert not said(Share("history", 0.5, 0.001), "gravity", gap=closed).flag

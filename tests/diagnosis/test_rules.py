@@ -32,8 +32,11 @@ def test_what_acts_in_a_few_segments_is_as_large_as_it_is_there():
     assert acting_fall(after, after) == 1.0
 
 
-@pytest.mark.parametrize(("gain", "agreed", "sure"), [(250, 7, True), (250, 5, False), (150, 40, False), (250, -20, False)])
-def test_beyond_doubt_is_what_is_far_above_chance_and_agreed_upon(gain, agreed, sure):
+@pytest.mark.parametrize(
+    ("gain", "agreed", "sure"),
+    [(250, 7, True), (250, 5, False), (150, 40, False), (550, -20, False), (650, -20, True)],
+)
+def test_beyond_doubt_is_what_is_far_above_chance_and_agreed_upon_or_farther(gain, agreed, sure):
     assert beyond_doubt(gain, LEVEL, agreed) is sure
 
 
@@ -46,7 +49,8 @@ def verdict(name: str, gain: float, size: float, kept: float) -> Verdict:
     [
         ("gravity", 70, 1.7, 1.0, True), ("gravity", 70, 1.7, -1.0, False), ("hard_stop", 70, 1.7, -1.0, True),
         ("gravity", 50, 1.7, 10.0, False), ("gravity", 70, 1.4, 10.0, False), ("gravity", 70, 1.55, 16.0, True),
-        ("gravity", 500, 1.45, 1.0, True),
+        ("gravity", 500, 1.45, 1.0, True), ("gravity", 260, 1.1, 7.0, True), ("gravity", 260, 1.1, 5.0, False),
+        ("gravity", 240, 1.1, 7.0, False),
     ],
 )  # fmt: skip
 def test_a_further_effect_is_large_sure_and_holds_elsewhere(name, gain, size, kept, worth):
