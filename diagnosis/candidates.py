@@ -26,6 +26,7 @@ CLIMBS = 4  # as often at most, as long as they gain half of what is lacking to 
 # parameters made up for it (a dead zone: 280 nats below after two steps, 590 above in the end)
 STILL = (-20.0, 2.0)  # nats that a start promises over the model without the effect: it does nothing there, and steps found none
 # (of 396 such starts of 34 records none led to the effect that was named, and 4 beyond chance)
+WAVES = 8  # finalists among waves of several periods where the model is far off: what one step promises says little there
 TRIES = 6  # values for each parameter of a rugged effect that are tried around where it stands,
 SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread by such factors, round by round,
 BETTER = 5.0  # as long as that gains so many nats
@@ -177,11 +178,12 @@ def explore(
     e: Evidence,
     quiet: Callable[[Fit], Problem],
     joint: Sequence[Start] = (),
+    far: bool = False,
 ) -> Candidate:
     """Try an effect from all its starts; where it stands then is the most promising one, and `pursue` goes on from there.
 
     `quiet` gives a problem with the noise that a fit leaves: what is missing looks like noise to a model without it, and
-    most of all where it changes slowly. `joint` holds further starts, of the whole model with the effect.
+    most of all where it changes slowly. `joint` holds further starts, of the whole model, which is `far` off without the effect.
     """
     try:
         simulator = servo.simulator(fit.simulator.segments, (name,))
@@ -205,7 +207,8 @@ def explore(
             inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
             trials.append(_worth(evaluate(problem, simulator, (*own, *free), whole | inside, begin), quiet))
     trials.sort(key=lambda trial: -trial[0])
-    return Candidate(name, trials[0][1], tuple(banks), trials[0][0], tuple(first for _, first in trials[1:FINALISTS]))
+    (promised, best), *others = trials[: WAVES if far and f"{name}.periods" in defaults else FINALISTS]
+    return Candidate(name, best, tuple(banks), promised, tuple(fit for _, fit in others))
 
 
 def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:

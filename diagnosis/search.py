@@ -70,7 +70,7 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tupl
         barred = bench.barred.get(name, "")
         tried.append(
             Candidate(name, None, refused=barred) if barred
-            else explore(stage.problem, stage.servo, name, fit, lens, e, quiet, together(name))
+            else explore(stage.problem, stage.servo, name, fit, lens, e, quiet, together(name), far)
         )  # fmt: skip
     if not any(c.fit for c in tried):
         return tried, Null(np.zeros(1), {})

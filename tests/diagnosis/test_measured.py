@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bristle.diagnosis import Model, records_from_arrays
+from bristle.diagnosis import Model, diagnose, records_from_arrays
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.plausibility import check
 
@@ -98,3 +98,21 @@ def test_odrive(compensated, data):
     assert all(np.ptp(r.y) == pytest.approx(2 * np.pi * 0.95, rel=0.02) for r in records)
     caveats = excitation(model, records)["caveats"]
     assert any("one direction" in line for line in caveats)
+
+
+def named(model, entries):
+    """Classes of the effects that a diagnosis names."""
+    found = diagnose(model, records_from_arrays(model, [(name, t, u, y) for name, t, u, y, _ in entries]))
+    return {effect.group for effect in found.effects}
+
+
+def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(data):
+    """A light motor turned slowly: the model without cogging stops where the motor goes on."""
+    model = declared("current", {"J": 2.5e-4, "a2": 1e-3, "Fc": 5e-3, "b": 7.5e-3})
+    assert named(model, data.odrive(False)) == {"cogging"}
+    assert named(model, data.odrive(True)) <= {"cogging"}
+
+
+def test_the_offset_of_a_worn_axis_is_named(data):
+    model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.1507}, "m")
+    assert named(model, data.emps()) == {"bias/asymmetric_coulomb"}
