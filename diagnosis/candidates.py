@@ -207,8 +207,8 @@ def explore(
             inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
             trials.append(_worth(evaluate(problem, simulator, (*own, *free), whole | inside, begin), quiet))
     trials.sort(key=lambda trial: -trial[0])
-    (promised, best), *others = trials[: WAVES if far and f"{name}.periods" in defaults else FINALISTS]
-    return Candidate(name, best, tuple(banks), promised, tuple(fit for _, fit in others))
+    (promised, best), *rest = trials[: WAVES if far and f"{name}.periods" in defaults else FINALISTS]
+    return Candidate(name, best, tuple(banks), promised, tuple(fit for _, fit in rest))
 
 
 def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
