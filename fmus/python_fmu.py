@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.metadata import distribution
 from importlib.resources import files
-from importlib.resources.abc import Traversable
+from pathlib import Path
 
 from bristle.fmus.description import description_2
 from bristle.fmus.interface import Exposed, Interface
@@ -58,8 +58,13 @@ def _package(interface: Interface) -> dict[str, str]:
     }
 
 
-def _library(folder: Traversable, suffix: str, model: str) -> bytes:
-    found = [entry for entry in folder.iterdir() if entry.name.endswith(suffix)]
+def _pythonfmu() -> Path:
+    """Return the installed package: an FMU that runs in this process imports its own copy, which has no libraries."""
+    return Path(str(distribution("pythonfmu").locate_file("pythonfmu")))
+
+
+def _library(folder: Path, suffix: str, model: str) -> bytes:
+    found = sorted(folder.glob(f"*{suffix}"))
     if len(found) != 1:
         raise BristleError(f"pythonfmu: no single *{suffix} for {model} in {folder}; reinstall pythonfmu")
     return found[0].read_bytes()
@@ -82,8 +87,8 @@ def python_files(program: Program) -> dict[str, bytes]:
     content[f"resources/{script}.py"] = _script(interface, f"{script}_parts").encode()
     content["resources/slavemodule.txt"] = script.encode()
     content |= _pythonfmu_licence()
-    pythonfmu = files("pythonfmu")
-    content |= {f"resources/pythonfmu/{e.name}": e.read_bytes() for e in pythonfmu.iterdir() if e.name.endswith(".py")}
+    pythonfmu = _pythonfmu()
+    content |= {f"resources/pythonfmu/{file.name}": file.read_bytes() for file in sorted(pythonfmu.glob("*.py"))}
     for folder, suffix in (("linux64", ".so"), ("win64", ".dll")):
         binary = _library(pythonfmu / "resources" / "binaries" / folder, suffix, program.name)
         content[f"binaries/{folder}/{program.name}{suffix}"] = binary

@@ -1,12 +1,17 @@
 """The pythonfmu FMUs: the same digits as the native ones, and refusal of what is wrong."""
 
 import gc
+import importlib.util
 import math
+import sys
 
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
+
+from bristle.fmus.python_fmu import python_files
+from bristle.plant.servo import servo_program
 
 H = 1e-3
 RUNS = {"plant": 4.0, "controller": 20.0, "observer": 1.0}  # s; plant and controller are also run together, for longer
@@ -208,3 +213,17 @@ def test_many_lives_and_errors_do_not_wear_the_interpreter_out(built):
         slave.fmu.doStep(0.0, H)
         slave.free()
         gc.collect()
+
+
+def test_an_fmu_is_made_of_the_installed_pythonfmu_whatever_runs_beside(tmp_path, monkeypatch):
+    """An FMU that runs in this process has its own copy imported, which has no libraries."""
+    copy = tmp_path / "pythonfmu" / "__init__.py"
+    copy.parent.mkdir()
+    copy.write_text("")
+    spec = importlib.util.spec_from_file_location("pythonfmu", copy, submodule_search_locations=[str(copy.parent)])
+    monkeypatch.setitem(sys.modules, "pythonfmu", importlib.util.module_from_spec(spec))
+    monkeypatch.syspath_prepend(tmp_path)
+    program = servo_program("coulomb")
+    content = python_files(program)
+    assert len(content[f"binaries/linux64/{program.name}.so"]) > 10_000
+    assert b"Fmi2Slave" in content["resources/pythonfmu/fmi2slave.py"]
