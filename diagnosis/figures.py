@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,6 +40,7 @@ LINES = 2000  # points of a curve of the overlay
 LABEL: Any = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
 MAPS = 3  # views that are drawn
 BARS = 9  # candidates of a round that are drawn
+NOTE = 50  # letters of a note beside a bar
 PER_ROW = 2  # rounds beside each other
 SHOWN = {  # SI unit -> factor and unit of a figure's axis
     "rad": (DEGREES, "deg"), "rad/s": (DEGREES, "deg/s"), "rad/s2": (DEGREES, "deg/s²"),
@@ -316,7 +318,10 @@ def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
         gain = max(candidate.gain, 0.0) if math.isfinite(candidate.gain) else 0.0
         ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
         gained = f"{candidate.gain:.0f}" if abs(candidate.gain) >= 100 else f"{candidate.gain:.3g}"
-        text = f"{candidate.name}  {gained}" + (f"  ({candidate.note})" if candidate.note else "")
+        if candidate.note and not candidate.gain:
+            gained = "not tried"
+        note = f"  ({textwrap.shorten(candidate.note, NOTE, placeholder=' …')})" if candidate.note else ""
+        text = f"{candidate.name}  {gained}{note}"
         ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
     ax.set_xlim(0, right)
     ax.set_ylim(len(drawn) - 0.5, -0.6)

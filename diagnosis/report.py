@@ -12,7 +12,7 @@ import numpy as np
 from bristle.diagnosis.figures import Rig, captions, improved
 from bristle.diagnosis.modelfile import si_unit
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
-from bristle.diagnosis.story import view_name
+from bristle.diagnosis.story import STRAYS, view_name
 from bristle.model.html import badge, figure, number, page, table, unit
 from bristle.plant.effects import effects as all_effects
 
@@ -154,6 +154,8 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
     gap, facts = diagnosis.gap, []
     if diagnosis.proposals:
         return ""  # nothing was fitted
+    if improved(diagnosis) and gap.after >= gap.before:
+        return f"<p>On these stretches the error did not fall: {STRAYS}.</p>"
     most, least = ("at most ", "at least ") if diagnosis.remains.flag else ("", "")  # what is unexplained looks like noise
     if gap.shrink is not None and improved(diagnosis):
         closed = gap.noise_floor is not None and gap.after <= gap.noise_floor and not diagnosis.remains.flag

@@ -22,6 +22,7 @@ SEPARATE = {  # what tells effects of one class apart
     frozenset({"presliding", "bristle_damping"}): "add small, fast motion that never breaks away: "
     "only damping makes it lose energy",
 }
+STRAYS = "a few where the servo went another way by chance may be most of it"
 UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
 MANY, MANY_UNIFORM = 3, 2  # most classes in a tie: with more, or with more in a uniform motion, the records name nothing
 
@@ -127,8 +128,10 @@ def statement(
     if rms[2] >= rms[1]:
         alone = "disturbance and sensor alone give " + ("less, but how much less is not known" if remains.flag else "as much")
     if effects:
-        fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {unit}"
-        lines.append(f"On stretches kept from the search the rms error of the output {fallen}; {alone}.")
+        fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {unit}; {alone}"
+        if rms[1] >= rms[0]:
+            fallen = f"does not fall ({rms[0]:.3g} {unit} before, {rms[1]:.3g} {unit} after): {STRAYS}"
+        lines.append(f"On stretches kept from the search the rms error of the output {fallen}.")
     else:
         lines.append(f"The rms error of the output is {rms[0]:.3g} {unit} with refitted parameters; {alone}.")
     if remains.flag:

@@ -12,8 +12,8 @@ import pytest
 
 from bristle.diagnosis.figures import Rig, draw, telling
 from bristle.diagnosis.report import interval, render
-from bristle.diagnosis.result import Estimate, Named, Remains, Trace
-from bristle.diagnosis.story import view_name
+from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
+from bristle.diagnosis.story import statement, view_name
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 VOID = {"meta", "img", "br"}
@@ -88,6 +88,18 @@ def test_where_something_remains_the_gap_shrank_by_at_most_so_much(answer):
     assert "shrank by at most 99.8 %" in text
     assert "the mean squared error was at least" in text
     assert "at least" not in text_of(page_of(answer("named")))
+
+
+def test_a_gap_that_did_not_shrink_is_not_said_to_fall(answer):
+    named = answer("named")
+    worse = replace(named, gap=Gap(1.1e-6, 1.3e-6, 1.3e-6, "rad2"))
+    text = text_of(page_of(worse))
+    assert "the error did not fall" in text
+    assert "shrank" not in text.split("Before and after")[0].split("The gap")[1]
+    said = statement("named", named.effects, (), worse.gap, worse.remains, {})
+    assert any("does not fall (0.00105 rad2 before, 0.00114 rad2 after)" in line for line in said)
+    said = statement("named", named.effects, (), named.gap, named.remains, {})
+    assert any("falls from 0.00286 to 0.000332" in line for line in said)
 
 
 def test_a_proposal_is_no_fit(answer):
@@ -181,6 +193,15 @@ def test_bars_show_the_level_of_chance_and_the_best_first(answer):
     assert names[0] == "cogging"
     assert "round 1: cogging added; 3 more gain less" in texts
     assert "hard_stop  41  (stiffness at its bound)" in texts
+
+
+def test_an_effect_that_was_not_tried_has_no_gain_and_a_short_reason(answer):
+    named = answer("named")
+    refused = replace(named.rounds[0].candidates[-1], gain=0.0, note="effects 'backlash' and 'compliance' " + 9 * "a load ")
+    rounds = (replace(named.rounds[0], candidates=(*named.rounds[0].candidates[:1], refused)),)
+    [text] = [text for text in svg_texts(draw(replace(named, rounds=rounds))["candidates"]) if "not tried" in text]
+    assert text.startswith(f"{refused.name}  not tried  (effects 'backlash'")
+    assert text.endswith("…)")
 
 
 def test_a_name_from_outside_cannot_become_markup(answer):
