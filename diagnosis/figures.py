@@ -40,6 +40,7 @@ LINES = 2000  # points of a curve of the overlay
 LABEL: Any = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
 MAPS = 3  # views that are drawn
 BARS = 9  # candidates of a round that are drawn
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOTE = 50  # letters of a note beside a bar
 PER_ROW = 2  # rounds beside each other
 SHOWN = {  # SI unit -> factor and unit of a figure's axis
@@ -259,22 +260,30 @@ def _maps(views: Sequence[View], rig: Rig, both: bool) -> Any:
     axes = figure.subplots(1, len(drawn), squeeze=False)[0]
     figure.subplots_adjust(wspace=0.26)
     _, torque = shown(rig.torque)
+    power = _thousands([each for view in drawn for each in (view.before, view.after)])
     for ax, view in zip(axes, drawn, strict=True):
-        _map(ax, view, rig, both)
-    set_labels(axes[0], y=f"residual {'force' if rig.linear else 'torque'}, {torque}")
+        _map(ax, view, rig, both, 10.0**-power)
+    scale = f"10{str(power).translate(RAISED)} " if power else ""
+    set_labels(axes[0], y=f"residual {'force' if rig.linear else 'torque'}, {scale}{torque}")
     return figure
 
 
-def _map(ax: Any, view: View, rig: Rig, both: bool) -> None:
+def _thousands(values: Sequence[Array]) -> int:
+    """Return a power of ten that keeps the numbers beside an axis short: a power of a thousand, or 0 where they are anyhow."""
+    most = max((float(np.nanmax(np.abs(each))) for each in values if np.isfinite(each).any()), default=0.0)
+    return 0 if most == 0 or 0.01 <= most < 1e4 else 3 * math.floor(math.log10(most) / 3)
+
+
+def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
     factor, label = rig.axis(view.view)
     x = factor * view.centres
     many = np.atleast_2d(view.before).shape[0] > 1
     for row, before in enumerate(np.atleast_2d(view.before)):
         style: Any = ("-", (0, (4, 2)))[row % 2]
         name = f" {view.lines[row]}" if many and row < len(view.lines) else ""
-        ax.plot(x, before, color=BEFORE, linestyle=style, label=f"{'before' if both else 'residual'}{name}")
+        ax.plot(x, scale * before, color=BEFORE, linestyle=style, label=f"{'before' if both else 'residual'}{name}")
         if both and view.after.size:
-            ax.plot(x, np.atleast_2d(view.after)[row], color=AFTER, linestyle=style, label=f"after{name}")
+            ax.plot(x, scale * np.atleast_2d(view.after)[row], color=AFTER, linestyle=style, label=f"after{name}")
     ax.axhline(0, color=INK, linewidth=0.7)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.28 * (high - low))  # room for the legend

@@ -215,6 +215,14 @@ def test_figures_are_the_same_every_time(answer):
     assert draw(answer("tie")) == draw(answer("tie"))
 
 
+def test_small_torques_are_told_in_thousandths(answer):
+    named = answer("named")
+    small = tuple(replace(view, before=0.1 * view.before, after=0.1 * view.after) for view in named.where)
+    texts = svg_texts(draw(replace(named, where=small))["maps"])
+    assert "residual torque, 10⁻³ N·m" in texts
+    assert not any(len(text) > 5 and text.replace("−", "").replace(".", "").isdigit() for text in texts)
+
+
 def test_the_overlay_shows_where_it_was_worst():
     time = np.arange(10_000) * 1e-3
     still = np.zeros(10_000)
