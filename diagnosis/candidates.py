@@ -219,7 +219,10 @@ def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
 
 
 def advance(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Callable[[Fit], Problem], least: float) -> Candidate:
-    """Take steps from each of the most promising starts and stand at the better end; one start does where none promises much."""
+    """Take steps from each of the most promising starts and stand at the better end; one start does where none promises much.
+
+    What does nothing where it starts stays there, unless it switches.
+    """
     effect = find_effect(candidate.name)
     if not effect.rugged and STILL[0] < candidate.promised - least < STILL[1]:
         return replace(candidate, rivals=())

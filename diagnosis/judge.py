@@ -166,7 +166,10 @@ def _tested(bench: Bench, held: Problem, without: _Without, candidate: Candidate
 
 
 def beyond_doubt(gain: float, level: float, agreed: float) -> bool:
-    """True if a gain is far above what chance gives (`level`), be it that segments kept from the search agree (all in nats)."""
+    """True if a gain is so far above what chance gives (`level`) that it needs no more proof than this (all in nats).
+
+    `agreed` is what segments kept from the search say of it; of the largest gains even that is not asked.
+    """
     return gain > ALONE * level or (gain > DOUBTLESS * level and agreed > AGREED)
 
 

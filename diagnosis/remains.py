@@ -10,7 +10,7 @@ from bristle.plant.effects import effect as find_effect
 
 LEFT = 0.15  # share of the squared error that a view must explain before something is said to remain
 CERTAIN = 0.03  # p over all views, from which on a share is believed
-GAP, SAME = 0.1, 0.05  # and of the error before, once an effect is named; a wave that repeats as the named one does
+GAP, WAVE = 0.1, 0.05  # and of the error before, once an effect is named; a wave that repeats as the named one does
 SUREST, FAINT = 0.001, 0.05  # p that no draw reaches: where nothing is named, such a share is enough then (1 more control of 240
 # is flagged, 7 more of 240 records with an effect of no catalogue)
 ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there
@@ -28,7 +28,7 @@ def remains(
     rattles = any(find_effect(name).coupling for name in named)  # no two runs of a loose load agree in each stretch
     seen = [share for share in after if share.view not in MEASURED and not (rattles and share.view == STRETCHES)]
     waves = [periods for name in named if (periods := periods_of(name, values, turn)) is not None]
-    left = gap.after / gap.before if named and gap.before > 0 else 1.0
+    left = gap.after / gap.before if gap.before > 0 else 1.0
     if named and fell < 1 and not rattles and not any(find_effect(name).local for name in named):
         return answer.Remains(True, seen[0].view, seen[0].share)
     certain = []
@@ -37,9 +37,11 @@ def remains(
         if not (share.p <= CERTAIN or (same and share.alone <= ALONE)):
             continue
         certain.append(share)
-        form = any(is_form(share.periods, wave) for wave in waves)
-        least = (SAME if same else GAP) if named else 0.0
-        if share.share >= (LEFT if named or share.p > SUREST else FAINT) and share.share * left >= least and not form:
+        if named:
+            large = share.share >= LEFT and share.share * left >= (WAVE if same else GAP)
+        else:
+            large = share.share >= (FAINT if share.p <= SUREST else LEFT)
+        if large and not any(is_form(share.periods, wave) for wave in waves):
             return answer.Remains(True, share.view, share.share)
     first = (certain or after)[0]
     return answer.Remains(False, first.view if certain else None, first.share)

@@ -38,8 +38,16 @@ def declared(kind, parameters, output="rad", **more):
     )
 
 
+def taken(model, entries, sign=1.0):
+    return records_from_arrays(model, [(name, t, sign * u, y) for name, t, u, y, _ in entries])
+
+
+def worn_axis():
+    return declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.1507}, "m")
+
+
 def judged(model, entries, sign=1.0):
-    records = records_from_arrays(model, [(name, t, sign * u, y) for name, t, u, y, _ in entries])
+    records = taken(model, entries, sign)
     assert len({r.h for r in records}) == 1
     return records, check(model, records)
 
@@ -75,7 +83,7 @@ def test_go1(data):
 
 def test_emps(data):
     """The published least squares: M 95.1 kg, Fv 203.5 N.s/m, Fc 20.4 N."""
-    model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.1507}, "m")
+    model = worn_axis()
     [record], found = judged(model, data.emps())
     assert record.findings == ()
     assert record.resolution == pytest.approx(5e-8, rel=1e-6)
@@ -102,8 +110,7 @@ def test_odrive(compensated, data):
 
 def named(model, entries):
     """Classes of the effects that a diagnosis names."""
-    found = diagnose(model, records_from_arrays(model, [(name, t, u, y) for name, t, u, y, _ in entries]))
-    return {effect.group for effect in found.effects}
+    return {effect.group for effect in diagnose(model, taken(model, entries)).effects}
 
 
 def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(data):
@@ -114,5 +121,4 @@ def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(data
 
 
 def test_the_offset_of_a_worn_axis_is_named(data):
-    model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.1507}, "m")
-    assert named(model, data.emps()) == {"bias/asymmetric_coulomb"}
+    assert named(worn_axis(), data.emps()) == {"bias/asymmetric_coulomb"}

@@ -3,20 +3,16 @@
 The record is that of the study (benchmarks/study/bodies.py), the true values stand here as they are printed.
 """
 
-import importlib.util
+import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
 
-_spec = importlib.util.spec_from_file_location("bodies", Path(__file__).parents[2] / "benchmarks" / "study" / "bodies.py")
-assert _spec is not None
-assert _spec.loader is not None
-bodies = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(bodies)
-
+bodies = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "study" / "bodies.py")))
 MASS, DAMPING, DISTANCE, FRICTION = 400.0, 2000.0, 1e-4, 1700.0  # kg, N.s/m, m, N
 UNIT = 1e-3  # m; the model's "rad" is a millimetre here
 
