@@ -246,11 +246,10 @@ def diagnose(
         raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
     _check_effect(choose)
     from bristle.diagnosis.export import IncompleteError, check_places, write
-    from bristle.model.output import check_writable
+    from bristle.model.output import output_folder
 
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
-    check_writable(out)
-    with _fraction("diagnose") as tell:
+    with output_folder(out), _fraction("diagnose") as tell:
         found = _diagnosed(model, fmu, data, tell)
         tell("writing", 1.0)
         problem = None

@@ -21,10 +21,11 @@ from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import group, views_of
-from bristle.diagnosis.size import fall, mean_square, squares
+from bristle.diagnosis.size import errors, fall, mean_square, squares
 from bristle.diagnosis.views import Share, residual_map
 
 MAPS = 6  # views whose residual is drawn
+SEEN = 0.05  # p up to which a view is listed ahead of the others
 
 
 def conclude(
@@ -38,7 +39,8 @@ def conclude(
     named = final.servo.effects[len(model.effects) :]
     gap = gap_between(model, bench, base, final)
     left = remains(after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final))
-    verdict = "named" if named else unnamed(last, bench.narrow, left)
+    mute = () if named else mute_parameters(plain)
+    verdict = "named" if named else "not_identifiable" if mute else unnamed(last, bench.narrow, left)
     intervals = estimates(model, whole, final.problem.only(bench.segments.judged))
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
@@ -52,7 +54,7 @@ def conclude(
     choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in _open(last) and c.fit} if not named else {}
     return answer.Diagnosis(
         verdict=verdict,
-        statement=story.statement(verdict, effects, ties, gap, left, intervals),
+        statement=story.statement(verdict, effects, ties, gap, left, intervals, mute),
         effects=effects,
         ties=tuple(ties),
         experiment=story.experiment(ties, left, bench.narrow),
@@ -87,6 +89,15 @@ def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mappi
     return lines
 
 
+def mute_parameters(plain: Mapping[str, answer.Estimate]) -> tuple[str, ...]:
+    """Return the parameters of the plain model if the records tell none of them, an interval being wider than its value.
+
+    The output does not follow the input then, and that no effect helps says nothing.
+    """
+    told = any(e.ci95 is not None and e.ci95[1] - e.ci95[0] < 2 * abs(e.value) for e in plain.values())
+    return () if told else tuple(plain)
+
+
 def _open(verdict: Verdict) -> tuple[str, ...]:
     """Return the members of a tie that was not resolved, or what was withdrawn."""
     open_ = verdict.best and not verdict.named and (verdict.ties or verdict.withdrawn)
@@ -103,14 +114,16 @@ def unnamed(last: Verdict, narrow: str, left: answer.Remains) -> str:
 
 
 def _traces(bench: Bench, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
-    """Return what was measured and simulated, an average a bin, record by record."""
+    """Return what was measured and simulated, an average a bin, record by record, start states at their best as in the gap."""
     s, first, traces = bench.segments, 0, []
+    whole = np.ones(len(bench.held), dtype=bool)
+    left = [np.where(fit.good[:, None], errors(fit, whole), np.nan) for fit in (before, after)]
     for piece in s.pieces:
         n = len(piece.seen)
         part = slice(first, first + n)
         time_ = piece.time + s.h * (s.width * np.arange(n * s.bins, dtype=np.float64) + (s.width - 1) / 2)
         held = np.repeat(bench.held[part], s.bins)
-        old, new = ((piece.seen - fit.residual[part]).ravel() for fit in (before, after))
+        old, new = ((piece.seen - error[part]).ravel() for error in left)
         u = piece.u.reshape(-1, s.width).mean(axis=1)
         traces.append(answer.Trace(piece.name, time_, u, piece.seen.ravel(), old, new, held))
         first += n
@@ -133,6 +146,7 @@ def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.
         found.append([_along_axis(bench, share) for share in seen])
         torques.append(torque)
     before, after = found
+    before = sorted(before, key=lambda share: share.p > SEEN)  # what chance gives comes last, whatever its share
     table = {share.view: share for share in after}
     views: list[answer.View] = []
     maps = 0

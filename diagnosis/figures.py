@@ -353,7 +353,7 @@ def _shade_of(candidate: Candidate, each: Round, tied: set[str]) -> str:
 def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     """Return title and caption of each figure."""
     both = improved(diagnosis)
-    band = " Dark band: what resolution and disturbances alone give." if diagnosis.gap.noise_floor is not None else ""
+    band = " Grey band: what resolution and disturbances alone give." if diagnosis.gap.noise_floor is not None else ""
     shrink = " The shrink is that of the mean square above this floor." if both and band else ""
     before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
     colours = ", before (orange) and after (blue)" if both else ""

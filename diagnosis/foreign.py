@@ -28,7 +28,7 @@ from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap
 from bristle.diagnosis.search import Tell
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.workflow import examine, mend_first
+from bristle.diagnosis.workflow import examine, mend_first, must_be
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.model.errors import BristleError
@@ -90,6 +90,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
         If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records are too short.
     """
     begun = time.perf_counter()
+    must_be(model, records)
     tell = progress or (lambda text, fraction: None)
     fmu = _checked(Fmu(Path(fmu_path), foreign=True), model)
     bench, said = bench_of(model, records), check(model, records)
@@ -106,7 +107,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     left = mean_square(base.fit, twin.bench.held)
     kept = replace(like, bounds=_around(model, like))
     if twin.error > TRUST * math.sqrt(left):
-        return _refused(kept, records, left, lines, time.perf_counter() - begun)
+        return _refused(kept, records, (twin.error, math.sqrt(left)), lines, time.perf_counter() - begun)
     found = examine(free, records, twin.bench, base, tell, begun)
     return replace(found, model=kept, findings=(*lines, *_wrong(fmu, found, twin), *found.findings))
 
@@ -285,14 +286,18 @@ def _excess(ratio: float) -> str:
     return f"{size:.1f} times too {way}" if size >= 2 else f"{abs(ratio - 1):.0%} too {way}"
 
 
-def _refused(like: Model, records: Sequence[Record], left: float, lines: list[str], seconds: float) -> answer.Diagnosis:
+def _refused(
+    like: Model, records: Sequence[Record], away: tuple[float, float], lines: list[str], seconds: float
+) -> answer.Diagnosis:
     """Return a diagnosis that names nothing, because the servo that the search would run on is not the FMU.
 
-    `left` is the mean square [output squared] that is left between the servo and the records when it is refitted.
+    `away` is how far the servo stays from the FMU it is fitted to, and from the records when refitted [output, rms].
     """
+    left = away[1] ** 2
     why = (
-        f"A servo with {like.friction} friction does not follow the FMU closely enough: it is nearly as far from the FMU as, "
-        f"refitted, from the records ({math.sqrt(left):.3g} {like.output_unit} rms). "
+        f"The search runs on a servo that is fitted to the FMU, and with {like.friction} friction none comes near: it stays "
+        f"{away[0]:.3g} {like.output_unit} rms from the FMU, and {away[1]:.3g} {like.output_unit} from the records when refitted "
+        "to them. What the FMU lacks cannot be seen behind that. "
         "Give a MODEL.toml with the FMU's own friction law, effects and parameters."
     )
     return answer.Diagnosis(

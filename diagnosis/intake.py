@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import Akima1DInterpolator
 
-from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.model.errors import BristleError
 from bristle.model.table import Array, read_columns, si_column
 
 SHORTEST = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz, and half are held out
 BRIEFEST = 2.0  # s, likewise
+LARGEST = 1e30  # SI: no rig gives more, and squares of such numbers are no numbers any more
 SLOWEST, FASTEST = 0.1, 1e-5  # s: sampling periods outside are not those of a servo, but of a wrong unit
 UNIFORM = 0.01  # a sampling interval may differ from the mean by this fraction
 GAP = 3.5  # an interval of more than this many is a gap; shorter ones are bridged
@@ -92,6 +93,7 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
     BristleError
         One line: what, where, what is allowed, what to do.
     """
+    must_be_model(model)
     if isinstance(paths, str | Path):
         paths = [paths]
     if not paths:
@@ -126,7 +128,11 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     BristleError
         One line: what, where, what is allowed, what to do.
     """
+    must_be_model(model)
+    if not isinstance(arrays, Iterable):
+        raise BristleError("the records are no list; give one of (name, time, u, y)")
     records: list[Record] = []
+    before: dict[str, tuple[Array, Array, Array]] = {}
     origin: float | None = None
     for entry in arrays:
         if not isinstance(entry, list | tuple) or len(entry) != 4:
@@ -136,8 +142,13 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
         if not len(time) == len(u) == len(y):
             sizes = f"time {len(time)}, input {len(u)}, output {len(y)} samples"
             raise BristleError(f"record {name}: columns of different length ({sizes}); cut them to the same samples")
+        for other, columns in before.items():
+            if all(map(np.array_equal, (time, u, y), columns)):
+                raise BristleError(f"record {name}: is the same as {other}; a copy is no second measurement: leave it out")
+        before[name] = time, u, y
         raw = _Raw(name, time, u, y, [])
         _cut_ends(raw)
+        _possible(model, raw)
         if origin is None and len(raw.time) and abs(raw.time[0]) > EPOCH:
             origin = float(raw.time[0])
         if origin is not None and abs(raw.time[0]) > EPOCH:
@@ -226,6 +237,15 @@ def _cut_ends(raw: _Raw) -> None:
         raise raw.error(f"{key} is not finite at sample {k} ({count} such samples before the end); repair them or cut the record")
     raw.say(f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite; left out")
     raw.keep(slice(first, last + 1))
+
+
+def _possible(model: Model, raw: _Raw) -> None:
+    """Refuse numbers that are none of a rig."""
+    units = ("s", model.input_unit, model.output_unit)
+    for key, values, unit in zip(("time", "input", "output"), (raw.time, raw.u, raw.y), units, strict=True):
+        most = float(np.max(np.abs(values)))
+        if most > LARGEST:
+            raise raw.error(f"{key} reaches {most:.3g} {unit}, allowed {LARGEST:g}; check its column and unit")
 
 
 def _pieces(model: Model, raw: _Raw) -> list[Record]:

@@ -163,6 +163,12 @@ class Model:
         return _model(table, where)
 
 
+def must_be_model(model: object) -> None:
+    """Raise `BristleError` where something else is given for a model, its path say."""
+    if not isinstance(model, Model):
+        raise BristleError(f"the model is a {type(model).__name__}; give what load_model or Model.from_dict returns")
+
+
 def load_model(path: Path | str) -> Model:
     """Read and check a model file.
 
@@ -264,6 +270,12 @@ def _check_columns(table: ModelTable, where: Path | str, linear: bool) -> None:
             factor_to(unit, scale, want)
         except BristleError as error:
             raise mistake(where, f"{key}.unit", unit, str(error)) from None
+    roles: dict[str, str] = {}
+    for key, column in (("time", table.time.column), ("input", table.input.column), ("output", table.output.column)):
+        if column in roles:
+            message = f"is the column of [{roles[column]}] already; name the one that holds the {key}"
+            raise mistake(where, f"{key}.column", column, message)
+        roles[column] = key
 
 
 def _resolution(out: OutputTable, where: Path | str, linear: bool) -> float | None:
@@ -362,7 +374,9 @@ def _bounds(
             raise mistake(where, key, value, "must be two numbers, [lowest, highest]; leave it out if the parameter is to stay")
         if full in found:
             raise mistake(where, key, value, f"{full} is given twice; give it once")
-        low, high = (_number(key, each, names[full], where, linear, table.input.kind) for each in value)
+        low, high = (
+            _number(f"{key}[{k}]", each, names[full], where, linear, table.input.kind) for k, each in enumerate(value)
+        )
         if low >= high:
             raise mistake(where, key, list(value), "must rise; write [lowest, highest], or leave it out if the parameter stays")
         nominal = parameters[full]

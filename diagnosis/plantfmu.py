@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bristle.diagnosis.modelfile import Model
+from bristle.fmus.host import Fmu
 from bristle.model.errors import BristleError
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws
@@ -51,13 +52,7 @@ def _read(path: Path) -> tuple[dict[str, float], set[str], str | None]:
 
     The law goes by the name the FMU gives it: an FMU of another release may number the laws otherwise.
     """
-    from fmpy.model_description import read_model_description
-
-    try:
-        variables = read_model_description(str(path), validate=False).modelVariables
-    except Exception as error:  # FMPy lets through whatever zipfile, lxml or its own parser raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BristleError(f"FMU {path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
+    variables = Fmu(path).description.modelVariables
     parameters = [v for v in variables if v.causality == "parameter" and v.start is not None and v.type in KINDS]
     selectors = [v for v in parameters if v.name == "law" and v.declaredType is not None]
     chosen = [item.name for v in selectors for item in v.declaredType.items if int(item.value) == int(v.start)]

@@ -111,10 +111,10 @@ def _single(model: Model, records: Sequence[Record], gain: float, nominal: Array
         if own is None or estimate is None:
             continue
         value, error, _ = estimate
-        line = _structure(model, [r], own, gain, nominal, value, error)
+        line = _structure(model, [r], own, gain, nominal, value, error, alone=True)
         others = [np.where(v > 3.0 * e, v, np.nan) for v, e, _ in (each for each in found[:k] + found[k + 1 :] if each)]
         if line is None and all(_factor(model, other, value, error) for other in others if np.isfinite(other[0])):
-            line = _factor(model, nominal, value, error)
+            line = _factor(model, nominal, value, error, alone=True)
         if line:
             yield f"record {r.name}: {line}"
 
@@ -223,7 +223,14 @@ def _explained(rows: _Rows | None, sign: float = 1.0) -> tuple[float, Array]:
 
 
 def _structure(
-    model: Model, records: Sequence[Record], rows: _Rows, gain: float, nominal: Array, value: Array, error: Array
+    model: Model,
+    records: Sequence[Record],
+    rows: _Rows,
+    gain: float,
+    nominal: Array,
+    value: Array,
+    error: Array,
+    alone: bool = False,
 ) -> str | None:
     """Return a proposal to flip the input, to swap the columns or to differentiate once more or less."""
     given, found = _explained(rows)
@@ -237,7 +244,8 @@ def _structure(
     if np.min(core) < -SURE and np.max(core) < SURE and 1.0 - given > CLEARER * (1.0 - flipped) and flipped > 0.2:
         return (
             f"input sign looks flipped: with -u the model explains {flipped:.0%} of the torque, as given {given:.0%} "
-            f'(J {value[0]:.3g}, Fc {value[2]:.3g}); turn it in [input], scale = "-1" over its unit, or rewire the data'
+            f"(J {value[0]:.3g}, Fc {value[2]:.3g}); "
+            + _mend('turn it in [input], scale = "-1" over its unit, or rewire the data', alone)
         )
     velocity = model.output_kind == "velocity"
     other = "position" if velocity else "velocity"
@@ -258,9 +266,11 @@ def _structure(
         return None
     seen = f"explains {best[0]:.0%} of the torque, as given {given:.0%}"
     if best[1] == "order":
-        return f"output looks like a {other}, not a {model.output_kind}: that {seen}; correct [output] kind and unit"
+        advice = _mend("correct [output] kind and unit", alone)
+        return f"output looks like a {other}, not a {model.output_kind}: that {seen}; {advice}"
     names = f"'{model.input.column}' and '{model.output.column}'"
-    return f"columns of input and output look swapped: {names} the other way round {seen}; swap them in the model file"
+    advice = _mend("swap them in the model file", alone)
+    return f"columns of input and output look swapped: {names} the other way round {seen}; {advice}"
 
 
 def _distance(found: Array, nominal: Array) -> float:
@@ -269,7 +279,12 @@ def _distance(found: Array, nominal: Array) -> float:
     return float(np.sum(np.abs(np.log(ratio))))
 
 
-def _factor(model: Model, nominal: Array, value: Array, error: Array) -> str | None:
+def _mend(advice: str, alone: bool) -> str:
+    """Return what to do; where one record stands `alone` with a mistake, the model file is right for the others."""
+    return "mend this record, not the model file, which is right for the others" if alone else advice
+
+
+def _factor(model: Model, nominal: Array, value: Array, error: Array, alone: bool = False) -> str | None:
     """Return a proposal if one factor on one column explains what all estimates are off by."""
     use = np.isfinite(nominal) & (value > 3.0 * error) & (value > 0.0)
     if not use[0]:
@@ -297,7 +312,9 @@ def _factor(model: Model, nominal: Array, value: Array, error: Array) -> str | N
     missing = "a scale" if cause == "time" else "a gear ratio"
     hint = f"has it to do with {text}, or is {missing} missing" if near < math.log(2.0) else f"is {missing} or a unit missing"
     other = "".join(f", or {_size(model, cause, size)}" for _, cause, size in others if abs(size) > math.log(APART[0]))
-    where = f"check the unit '{column.unit}' of column '{column.column}'"
+    where = _mend(f"check the unit '{column.unit}' of column '{column.column}'", alone)
+    if cause == "input" and "b" in model.parameters:
+        hint += f", or b, the {'force' if model.linear else 'torque'} per {model.input_unit}, wrong in [parameters]"
     rotor = ""
     if cause == "output" and "a2" not in names:  # the inertia alone: whoever fitted the friction to such data has its unit in it
         rotor = f"; or is the {model.input_kind} that of a rotor ahead of a gear, and J that of the load behind it?"
@@ -305,7 +322,7 @@ def _factor(model: Model, nominal: Array, value: Array, error: Array) -> str | N
 
 
 def _size(model: Model, cause: str, size: float) -> str:
-    what = {"input": "force" if model.linear else model.input_kind, "output": model.output_kind, "time": "time"}[cause]
+    what = {"input": model.input_kind, "output": model.output_kind, "time": "time"}[cause]
     return f"{what} looks a factor {math.exp(abs(size)):.3g} too {'large' if size > 0 else 'small'}"
 
 

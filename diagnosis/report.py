@@ -103,17 +103,20 @@ class _Writer:
 
     def base(self, diagnosis: Diagnosis, choose: str | None) -> str:
         """Return the model's parameters: nominal, refitted, refitted with the effects."""
-        nominal = dict(diagnosis.model.parameters) if diagnosis.model is not None else {}
+        model = diagnosis.model
+        given = {f"{e}.{p}": x for e, values in model.effects.items() for p, x in values.items()} if model is not None else {}
+        nominal = {**model.parameters, **given} if model is not None else {}
         columns = {"refitted alone": diagnosis.base} if diagnosis.base and not diagnosis.proposals else {}
         if diagnosis.effects:
             columns["refitted with " + _listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
         for name, found in diagnosis.choice_parameters.items():
             columns[f"refitted with {name}" + (" (chosen)" if name == choose else "")] = found
-        units = {name: e.unit for column in columns.values() for name, e in column.items()}
+        units = {name: model.unit(name) for name in nominal}
+        units |= {name: e.unit for column in columns.values() for name, e in column.items()}
         rows = []
         for name in dict.fromkeys([*nominal, *units]):
             fitted = [self.estimate(column[name]) if name in column else "kept" for column in columns.values()]
-            rows.append((escape(name), self.unit(units[name]) if name in units else "–", number(nominal.get(name)), *fitted))
+            rows.append((escape(name), self.unit(units[name]), number(nominal.get(name)), *fitted))
         return table(("parameter", "unit", "nominal", *map(escape, columns)), rows, (2,))
 
 

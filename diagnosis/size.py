@@ -12,10 +12,15 @@ Array = NDArray[np.float64]
 OUTLYING = 10.0  # of the upper quartile: where a segment counts no more, be it that the servo stuck or slipped by chance
 
 
+def errors(fit: Fit, mask: NDArray[np.bool_]) -> list[Array]:
+    """Return the error of each segment, an array (bins,) each, start states at their best [output]."""
+    pairs = zip(fit.residual[mask], fit.raw_by_start[mask], strict=True)  # segments are few and short
+    return [r - c @ np.linalg.lstsq(c, r, rcond=1e-9)[0] for r, c in pairs]
+
+
 def squares(fit: Fit, mask: NDArray[np.bool_]) -> Array:
     """Return the mean squared error of each segment (segments,), start states at their best [output squared]."""
-    pairs = zip(fit.residual[mask], fit.raw_by_start[mask], strict=True)  # segments are few and short
-    return np.array([np.mean(np.square(r - c @ np.linalg.lstsq(c, r, rcond=1e-9)[0])) for r, c in pairs])
+    return np.array([np.mean(np.square(error)) for error in errors(fit, mask)])
 
 
 def mean_square(fit: Fit, mask: NDArray[np.bool_]) -> float:

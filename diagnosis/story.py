@@ -107,8 +107,9 @@ def statement(
     gap: Gap,
     remains: Remains,
     base: Mapping[str, Estimate],
+    mute: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Return the answer, one sentence or two a line."""
+    """Return the answer, one sentence or two a line; `mute` are the model's parameters if the records tell none of them."""
     lines = []
     for e in effects:
         found = ", ".join(f"{name} {value(estimate)}" for name, estimate in e.parameters.items())
@@ -118,7 +119,12 @@ def statement(
         lines.append(f"These records do not tell {whole} apart.")
     if verdict == "none":
         lines.append("No effect explains more than chance or than what would matter.")
-    if verdict == "not_identifiable":
+    if mute:
+        lines.append(
+            f"The output hardly follows the input: not even {', '.join(mute)} can be told from these records, let alone what is "
+            "missing. Check the columns in [input] and [output], or give records that move more."
+        )
+    elif verdict == "not_identifiable":
         why = "too many effects explain it alike" if ties else "the motion is too uniform to tell what"
         lines.append(f"Something is missing, but {why}: these records do not name it.")
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]

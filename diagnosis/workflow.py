@@ -14,7 +14,7 @@ from bristle.diagnosis.bench import Bench, Stage, settle
 from bristle.diagnosis.conclude import conclude, fell_between, gap_between, views_beside
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.intake import Record
-from bristle.diagnosis.modelfile import REACH, Model
+from bristle.diagnosis.modelfile import REACH, Model, must_be_model
 from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
 from bristle.diagnosis.remains import remains
@@ -46,8 +46,7 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
         If there is no record, if all are too short, or if the model cannot be simulated.
     """
     begun = time.perf_counter()
-    if not records:
-        raise BristleError("no record is given; give at least one")
+    must_be(model, records)
     tell = progress or (lambda text, fraction: None)
     said = check(model, records)
     bench = bench_of(model, records)
@@ -59,6 +58,15 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     return replace(found, findings=(*found.findings, *lines, *said.findings))
 
 
+def must_be(model: object, records: object) -> None:
+    """Raise `BristleError` if these are not what they should be: paths, say, or plain arrays."""
+    must_be_model(model)
+    if not isinstance(records, Sequence) or not all(isinstance(record, Record) for record in records):
+        raise BristleError("the records are not a list of Record; give what load_records or records_from_arrays returns")
+    if not records:
+        raise BristleError("no record is given; give at least one")
+
+
 def mend_first(
     model: Model, records: Sequence[Record], said: Plausibility, gap: float, seconds: float, lines: Sequence[str] = ()
 ) -> answer.Diagnosis:
@@ -67,9 +75,10 @@ def mend_first(
     `gap` is the mean squared error of the model as it is [output squared]; `lines` are findings to begin with.
     """
     why = "No effect was looked for: data and model disagree in a way that is more likely a mistake in one of them. Proposed: "
-    proposed = "; ".join(line.rstrip("?.") for line in said.proposals)
+    proposed = "; ".join(line.rstrip(".") for line in said.proposals)
+    end = "" if proposed.endswith("?") else "."
     return answer.Diagnosis(
-        verdict="not_identifiable", statement=(f"{why}{proposed}.",), effects=(), ties=(), experiment="",
+        verdict="not_identifiable", statement=(f"{why}{proposed}{end}",), effects=(), ties=(), experiment="",
         where=(), remains=answer.Remains(False, None, 0.0), gap=answer.Gap(gap, gap, None, f"({model.output_unit})2"),
         excitation=excitation(model, records), findings=(*lines, *(f for r in records for f in r.findings), *said.findings),
         base={}, parameters={}, rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=seconds,

@@ -6,7 +6,8 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,20 @@ def check_writable(out: Path) -> None:
             pass
     except OSError as error:
         raise complain(out, error) from None
+
+
+@contextmanager
+def output_folder(out: Path) -> Iterator[None]:
+    """Create the output folder and try it, before time is spent; if the work fails, no empty folder is left behind."""
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        check_writable(out)
+        yield
+    except BaseException:
+        for folder in made:
+            with suppress(OSError):  # somebody has put something into it
+                folder.rmdir()
+        raise
 
 
 def write_file(path: Path, content: bytes) -> None:

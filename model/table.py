@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TextIO
 from zipfile import is_zipfile
 
 import numpy as np
@@ -33,6 +35,8 @@ def read_columns(path: Path) -> Columns:
     BristleError
         If the file cannot be read or is of no known format.
     """
+    if path.is_dir():
+        raise BristleError(f"record {path}: is a folder; give a file, and each file with an option of its own")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise BristleError(f"record {path}: unknown format '{path.suffix}'; known: {', '.join(READERS)}")
@@ -58,9 +62,7 @@ def _unreadable(path: Path, error: Exception) -> BristleError:
 
 def _read_csv(path: Path) -> Columns:
     with path.open(newline="", encoding="utf-8-sig") as stream:
-        first = stream.readline()
-        while first and not first.strip():
-            first = stream.readline()
+        first, above = _header(stream)
         # a header without a comma is one of semicolons or tabs, which spreadsheets write
         separator = next((mark for mark in ",;\t" if mark in first), ",")
         header = [name.strip() for name in next(csv.reader([first.lstrip("# ")], delimiter=separator), [])]
@@ -76,17 +78,35 @@ def _read_csv(path: Path) -> Columns:
         except ValueError:
             table = np.empty((0, 0))
     if table.shape[1] != len(header) or not len(table):
-        table = _read_rows(path, separator, len(header))
+        table = _read_rows(path, separator, len(header), above)
     return Columns({name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(header)}, {})
 
 
-def _read_rows(path: Path, separator: str, width: int) -> Array:
-    """Read a CSV row by row: slower, but it knows where a mistake is and takes empty fields."""
+def _header(stream: TextIO) -> tuple[str, int]:
+    """Return the line of the column names and its number, the stream behind it: the first line that is no remark.
+
+    A remark begins with #, but so does a header that numpy.savetxt has written: numbers follow it.
+    """
+    first, number = stream.readline(), 1
+    while first:
+        begin = stream.tell()
+        following = stream.readline()
+        stream.seek(begin)
+        remark = first.startswith("#") and not _is_number(re.split("[,;\t]", following)[0])
+        if first.strip() and not remark:
+            break
+        first, number = stream.readline(), number + 1
+    return first, number
+
+
+def _read_rows(path: Path, separator: str, width: int, above: int) -> Array:
+    """Read a CSV row by row below so many lines: slower, but it knows where a mistake is and takes empty fields."""
     rows: list[list[float]] = []
     with path.open(newline="", encoding="utf-8-sig") as stream:
+        for _ in range(above):
+            stream.readline()
         reader = csv.reader(stream, delimiter=separator)
-        found = ((reader.line_num, row) for row in reader if row and any(field.strip() for field in row))
-        next(found, None)
+        found = ((above + reader.line_num, row) for row in reader if row and any(field.strip() for field in row))
         for line, row in found:
             if len(row) != width:
                 raise BristleError(f"record {path}: line {line} has {len(row)} values, the header {width}; mend that line")
@@ -94,9 +114,9 @@ def _read_rows(path: Path, separator: str, width: int) -> Array:
                 rows.append([float(field) if field.strip() else np.nan for field in row])
             except ValueError:
                 word = next(field for field in row if field.strip() and not _is_number(field))
-                raise BristleError(
-                    f"record {path}: line {line}: '{word}' is no number; keep only numbers below the header"
-                ) from None
+                comma = _is_number(word.replace(",", "."))
+                hint = "write a decimal point" if comma else "keep only numbers below the header"
+                raise BristleError(f"record {path}: line {line}: '{word}' is no number; {hint}") from None
     if not rows:
         raise BristleError(f"record {path}: no data below a header line; write the column names in the first line")
     return np.array(rows)
@@ -122,10 +142,12 @@ def _read_mat(path: Path) -> Columns:
 
 
 def _read_npz(path: Path) -> Columns:
-    if not is_zipfile(path):
-        raise BristleError(f"record {path}: is no NPZ archive; save it with numpy.savez")
-    with np.load(path, allow_pickle=False) as archive:
-        return _vectors(dict(archive))
+    with path.open("rb") as stream:
+        if not is_zipfile(stream):
+            raise BristleError(f"record {path}: is no NPZ archive; save it with numpy.savez")
+        stream.seek(0)
+        with np.load(stream, allow_pickle=False) as archive:
+            return _vectors(dict(archive))
 
 
 def _read_parquet(path: Path) -> Columns:
@@ -176,8 +198,10 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
     if scale is not None:
         number, _, text = scale.strip().partition(" ")
         over = parse_unit(text or "1")
-        if not _is_number(number) or not np.isfinite(float(number)) or float(number) == 0.0:
+        if not _is_number(number) or not np.isfinite(float(number)):
             raise BristleError(f"scale '{scale}' is not a number with a unit; write for example \"20 rad/m\"")
+        if float(number) == 0.0:
+            raise BristleError(f"scale '{scale}' is zero; write what one of the unit is worth, for example \"20 rad/m\"")
         factor, exponents = factor * float(number) * over.factor, exponents + np.array(over.exponents)
     if tuple(exponents) != want.exponents:
         raise BristleError(

@@ -21,7 +21,7 @@ class Section(BaseModel):
 def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario file")."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         return text, tomllib.loads(text)
     except OSError as error:
         raise BristleError(f"{path}: {error.strerror}; check the path of the {what}") from None
@@ -90,5 +90,7 @@ def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationEr
         "finite_number": "must be a finite number",
         "too_short": f"needs at least {context.get('min_length')} entry",
         "model_type": "must be a table; write it as [section]",
+        "dict_type": "must be a table; write it as [section]",
+        "string_type": "must be text in quotes",
     }.get(kind, first["msg"].replace("Input should be", "must be"))
     return mistake(path, key, value, f"{hint}; change the value{more}")

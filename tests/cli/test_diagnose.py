@@ -143,6 +143,8 @@ def test_an_error_leaves_what_was_there(call: Call, asked: dict[str, Any], tmp_p
     assert found[1] == ""
     assert os.listdir(tmp_path) == ["report.html"]
     assert (tmp_path / "report.html").read_text() == "old"
+    one_line(call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "new" / "out"), "m.toml: friction missing")
+    assert os.listdir(tmp_path) == ["report.html"]
 
 
 def test_an_interrupt_is_said_and_changes_nothing(
@@ -155,7 +157,7 @@ def test_an_interrupt_is_said_and_changes_nothing(
     monkeypatch.setattr(cli, "_interrupts", [])
     monkeypatch.setattr(diagnosis, "diagnose", interrupted, raising=False)
     assert call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "out") == (2, "", "bristle: interrupted\n")
-    assert os.listdir(tmp_path / "out") == []
+    assert os.listdir(tmp_path) == []
 
 
 def test_an_answer_that_cannot_be_written_is_said(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.candidates import Candidate
-from bristle.diagnosis.conclude import unnamed
+from bristle.diagnosis.conclude import mute_parameters, unnamed
 from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.null import Null
-from bristle.diagnosis.result import Remains
+from bristle.diagnosis.result import Estimate, Remains
 
 UNIFORM = "one oscillation"
 QUIET, LEFT = Remains(False, None, 0.0), Remains(True, "theta", 0.5)
@@ -40,3 +40,17 @@ def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: boo
 )
 def test_verdict_without_a_name(last: Verdict, narrow: str, left: Remains, verdict: str) -> None:
     assert unnamed(last, narrow, left) == verdict
+
+
+@pytest.mark.parametrize(
+    ("intervals", "mute"),
+    [
+        ({"J": (-0.02, 0.04), "Fc": (-0.2, 0.4)}, ("J", "Fc")),
+        ({"J": (0.009, 0.021), "Fc": (-0.2, 0.4)}, ()),
+        ({"J": (-0.02, 0.04), "Fc": None}, ("J", "Fc")),
+        ({}, ()),
+    ],
+)
+def test_records_that_tell_no_parameter(intervals: dict[str, tuple[float, float] | None], mute: tuple[str, ...]) -> None:
+    middle = {name: sum(ends) / 2 if ends else 0.1 for name, ends in intervals.items()}
+    assert mute_parameters({name: Estimate(middle[name], "1", ends) for name, ends in intervals.items()}) == mute

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from bristle.diagnosis.views import STRETCHES
 from bristle.plant.effects import effects
 
 HIDDEN = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07"
+NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +109,15 @@ def test_an_effect_that_the_model_has_is_not_found_again(case, cogging):
     assert "cogging" not in found.undetected
 
 
+def the_same_as_in_the_readme(said: str) -> None:
+    """What the README shows of the shipped case is said, number for number but for what another compiler may change."""
+    shown = re.search(r"    Missing: .*?\n\n", (HIDDEN.parents[2] / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert shown is not None
+    words, numbers = zip(*((NUMBER.sub("#", " ".join(t.split())), NUMBER.findall(t)) for t in (shown[0], said)), strict=True)
+    assert words[1].startswith(words[0])
+    np.testing.assert_allclose(np.array(numbers[1][: len(numbers[0])], float), np.array(numbers[0], float), rtol=0.03)
+
+
 def test_the_command_line_on_a_shipped_case(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -130,6 +141,7 @@ def test_the_command_line_on_a_shipped_case(
     said = capsys.readouterr()
     assert said.err == ""
     assert said.out.splitlines()[-1] == f"named  {out / 'report.html'}"
+    the_same_as_in_the_readme(said.out)
     written = {path.name for path in tmp_path.rglob("*") if path.is_file()}
     assert {"diagnosis.json", "report.html", "augmented.toml", "augmented.fmu"} <= written
     assert written <= {"diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu"}

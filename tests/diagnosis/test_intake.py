@@ -56,18 +56,18 @@ def test_a_good_record_is_not_touched(model):
 
 
 def test_files_in_their_own_units(tree, tmp_path):
-    t, u, y = motion()
+    runs = {"one": motion(), "two": motion(seed=1)}
     tree["time"]["unit"] = "ms"
     tree["input"] |= {"unit": "mN.m", "scale": "-1"}
     tree["output"] |= {"unit": "1", "scale": "0.087890625 deg", "resolution": 1}
     model = Model.from_dict(tree)
-    for folder in ("one", "two"):
+    for folder, (t, u, y) in runs.items():
         (tmp_path / folder).mkdir()
         table = np.column_stack([t * 1e3, -u * 1e3, np.floor(y / STEP)])
         np.savetxt(tmp_path / folder / "run.csv", table, delimiter=",", header="t,u,theta", comments="", fmt="%.12g")
     records = load_records(model, [tmp_path / "one" / "run.csv", tmp_path / "two" / "run.csv"])
     assert [r.name for r in records] == ["run#1", "run#2"]
-    for record in records:
+    for record, (_, u, y) in zip(records, runs.values(), strict=True):
         assert record.findings == ()
         assert record.h == pytest.approx(H)
         np.testing.assert_allclose(record.u, u, atol=1e-9)
@@ -203,6 +203,8 @@ def test_nearly_the_same_rate_is_the_same(model):
         (lambda t, u, y: (t, u, 0 * y + 3.0), ["nothing moves", "[output] column"]),
         (lambda t, u, y: (t, u, counts(1e-3 * y, 5e-3)), ["nothing moves", "resolution"]),
         (lambda t, u, y: (t, u[:-1], y), ["different length", "input 5999"]),
+        (lambda t, u, y: (t, u, 1e300 * y), ["output reaches 6.6", "e+300 rad, allowed 1e+30"]),
+        (lambda t, u, y: (t, 1e300 * u, y), ["input reaches", "e+299 N.m", "check its column"]),
         (lambda t, u, y: (t, u, np.column_stack([y, y])), ["output has shape (6000, 2)"]),
         (lambda t, u, y: (t, u, ["fast"] * N), ["output is not an array of numbers"]),
     ],
@@ -223,7 +225,11 @@ def test_no_record_and_wrong_entries(model, message, tmp_path):
     assert "no record" in message(lambda: records_from_arrays(model, []))
     for entry in (("a", [0.0], [0.0]), 1, "abcd"):
         assert "is not (name, time, u, y)" in message(lambda entry=entry: records_from_arrays(model, [entry]))
+    assert "the records are no list" in message(lambda: records_from_arrays(model, None))
+    assert "the model is a str; give what load_model" in message(lambda: records_from_arrays("model.toml", []))
+    assert "the model is a str; give what load_model" in message(lambda: load_records("model.toml", tmp_path / "r.csv"))
     t, u, y = motion()
+    assert "b: is the same as a" in message(lambda: records_from_arrays(model, [("a", t, u, y), ("b", t, u, y)]))
     assert "input is not an array of numbers" in message(lambda: records_from_arrays(model, [("a", t, u * 1j, y)]))
     np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,torque,theta", comments="")
     text = message(lambda: load_records(model, [tmp_path / "r.csv"]))

@@ -153,6 +153,7 @@ def changed(tree, path, value):
         ("bounds/J", [0.05, 0.002], ["bounds.J", "must rise"]),
         ("bounds/J", [0.02, 0.05], ["bounds.J", "nominal value 0.01 lies outside"]),
         ("bounds/J", [0.02], ["bounds.J", "two numbers"]),
+        ("bounds/J", [0.002, float("inf")], ["bounds.J[1] = inf", "outside"]),
         ("bounds/sigma", [0, 1], ["bounds.sigma", "no parameter of law"]),
         ("time/unit", "V", ["time.unit", "does not fit"]),
         ("time/unit", "sec", ["time.unit", "not known"]),
@@ -162,6 +163,10 @@ def changed(tree, path, value):
         ("input/kind", "force", ["input.kind", "turns", '"torque"']),
         ("input/unit", "A", ["input.unit", "does not fit", "N.m"]),
         ("input/scale", "much", ["input.unit", "not a number with a unit"]),
+        ("input/scale", "0 N.m", ["input.unit", "is zero"]),
+        ("input/scale", 0.1, ["input.scale", "must be text in quotes"]),
+        ("input/column", "theta", ["output.column", "is the column of [input] already"]),
+        ("effects/gravity", 1, ["effects.gravity", "must be a table"]),
         ("output/unit", "m", ["input.kind", "metres", '"force"']),
         ("output/unit", "V", ["output.unit", "does not fit kind 'position'", "deg"]),
         ("output/kind", "velocity", ["output.unit", "does not fit kind 'velocity'", "rad/s"]),
@@ -185,6 +190,13 @@ def test_every_mistake_is_one_line(path, value, words, tree, message, tmp_path):
 def test_effects_that_cannot_be_combined_are_refused(tree, message):
     tree["effects"] = {"presliding": {"stiffness": 1.0}, "bristle_damping": {"stiffness": 1.0, "damping": 0.1}}
     assert "choose one of them" in message(lambda: Model.from_dict(tree))
+
+
+def test_a_file_that_begins_with_a_byte_order_mark(tree, tmp_path):
+    write_model(Model.from_dict(tree), tmp_path / "model.toml")
+    text = (tmp_path / "model.toml").read_text(encoding="utf-8")
+    (tmp_path / "marked.toml").write_text(text, encoding="utf-8-sig")
+    assert load_model(tmp_path / "marked.toml").parameters == load_model(tmp_path / "model.toml").parameters
 
 
 def test_files_that_cannot_be_read(tmp_path, message):

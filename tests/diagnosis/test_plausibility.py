@@ -73,6 +73,7 @@ def test_a_mistake_in_one_of_two_records_is_said_of_that_one(name, positions, me
         [line] = said(model, [second, wrong]).proposals
         assert line.startswith("record run1: ")
         assert words in line
+        assert "mend this record, not the model file" in line
 
 
 def test_it_names_the_likely_unit(positions, tree):
@@ -114,6 +115,9 @@ def test_a_drive_gain_is_part_of_the_torque(measured, tree):
     found = said(model, [(t, 2 * u, y)])
     assert found.proposals == ()
     assert found.fit["J"]["value"] == pytest.approx(0.01, rel=0.04)
+    [line] = said(model, [(t, 100 * u, y)]).proposals
+    assert line.startswith("voltage looks a factor")
+    assert "or b, the torque per V, wrong in [parameters]" in line
 
 
 def test_a_common_factor_beyond_tight_bounds_is_a_finding(positions, tree):

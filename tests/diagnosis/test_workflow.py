@@ -17,6 +17,7 @@ import pytest
 from bristle.cli import main as cli
 from bristle.diagnosis import Model, diagnose, records_from_arrays
 from bristle.diagnosis.modelfile import write_model
+from bristle.model.errors import BristleError
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -97,6 +98,22 @@ def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(what: str, call:
     [proposal] = answer["proposals"]
     assert words in proposal
     assert proposal.rstrip("?") in answer["statement"][0]
+
+
+def test_an_output_that_has_nothing_to_do_with_the_input_is_no_good_model(call: Call, plain: list[Columns]) -> None:
+    noise = np.random.default_rng(3)
+    code, answer, error = call(*((t, u, noise.standard_normal(len(t))) for t, u, _ in plain))
+    assert (code, error) == (0, "")
+    assert (answer["verdict"], answer["effects"]) == ("not_identifiable", [])
+    assert "not even J, a2, coulomb.Fc can be told from these records" in " ".join(answer["statement"])
+    assert answer["files"] == ["diagnosis.json", "report.html"]
+
+
+def test_what_is_no_model_and_what_is_no_record_is_said(model: Model, plain: list[Columns]) -> None:
+    given = [(model, "r.csv"), (model, [("r", *plain[0])]), (model, None), ("model.toml", [])]
+    for wrong, records in given:
+        with pytest.raises(BristleError, match="give what load_"):
+            diagnose(wrong, records)  # type: ignore[arg-type]
 
 
 def test_records_of_different_rates_are_brought_to_one(call: Call, plain: list[Columns]) -> None:

@@ -51,8 +51,29 @@ def test_a_long_csv_is_read_at_the_speed_of_c(tmp_path):
             took.append(time.perf_counter() - start)
         return min(took)
 
-    assert best(lambda: read_columns(path)) < 0.7 * best(lambda: _read_rows(path, ",", 3))
-    np.testing.assert_array_equal(np.column_stack(list(read_columns(path).values())), _read_rows(path, ",", 3))
+    assert best(lambda: read_columns(path)) < 0.7 * best(lambda: _read_rows(path, ",", 3, 1))
+    np.testing.assert_array_equal(np.column_stack(list(read_columns(path).values())), _read_rows(path, ",", 3, 1))
+
+
+@pytest.mark.parametrize("header", ["# rig 3, Monday\n\n# 2 runs\nt,u", "# t,u", "# rig 3\n# t,u", "\ufefft,u", "\r\nt,u"])
+@pytest.mark.parametrize("rows", ["1,2\n3,4\n", "1,2\n3,\n"])
+def test_remarks_above_the_header(header, rows, tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text(f"{header}\n{rows}", encoding="utf-8")
+    columns = read_columns(path)
+    assert list(columns) == ["t", "u"]
+    np.testing.assert_array_equal(columns["t"], [1.0, 3.0])
+
+
+@pytest.mark.parametrize("suffix", [*READERS, ""])
+def test_what_is_not_there_and_what_is_no_file(suffix, tmp_path):
+    """The likeliest mistake of all is a mistyped path."""
+    if suffix:
+        with pytest.raises(BristleError, match="No such file"):
+            read_columns(tmp_path / f"none{suffix}")
+    (tmp_path / f"folder{suffix}").mkdir()
+    with pytest.raises(BristleError, match="is a folder"):
+        read_columns(tmp_path / f"folder{suffix}")
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t"])
@@ -84,7 +105,7 @@ def test_a_missing_value_of_parquet_is_nan(tmp_path):
         ("t,u\n0,1\n1,2,3\n", ["line 3 has 3 values, the header 2"]),
         ("t,u\n0,1\n\n1,2,3\n", ["line 4 has 3 values"]),
         ("t,u\n0,1\n1,off\n", ["line 3", "'off' is no number"]),
-        ("t;u\n0;1,5\n1;2,5\n", ["line 2", "'1,5' is no number"]),
+        ("t;u\n0;1,5\n1;2,5\n", ["line 2", "'1,5' is no number", "decimal point"]),
         ("t,t\n0,1\n", ["'t' is there twice"]),
         ("0,1\n1,2\n", ["first line holds numbers"]),
         ("t,u\n", ["no data"]),
