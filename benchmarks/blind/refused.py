@@ -1,0 +1,75 @@
+"""What other thresholds could have given: of the further effects that led a round and were refused, how many more would be right.
+
+    refused.py --out out/blind/HASH
+
+A refused effect has four figures: its gain over the level of chance, its gain over that of the first effect, the factor by
+which it lowers the mean squared error, and its gain on segments kept from the search. Every set of four least values is tried, with
+the answers known, so that no rule of this kind can do better than what the table says; benchmarks/results/refused.md holds it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
+from forms import class_of
+from score import Judged
+
+TARGET = Path(__file__).resolve().parents[1] / "results" / "refused.md"
+GROUPS = ("same", "other", "low", "faint", "pair")
+
+
+def refused(out: Path) -> Iterator[tuple[bool, tuple[float, ...]]]:
+    """Give of each refused further effect whether it was missing, and its four figures."""
+    for path in sorted((out / "results").glob("*.json")):
+        answer, result = (json.loads((out / part / path.name).read_text(encoding="utf-8")) for part in ("answers", "results"))
+        judged, rounds = Judged(answer, result), result["rounds"]
+        if answer["group"] not in GROUPS or not judged.named or len(rounds) < 2 or rounds[-1]["added"]:
+            continue
+        last = rounds[-1]
+        leader = next((c for c in last["candidates"] if last["decision"].startswith(f"'{c['name']}'")), None)
+        if leader is not None and leader["kept"] is not None:
+            figures = last["gain"] / last["null_level"], last["gain"] / rounds[0]["gain"], last["size"], leader["kept"]
+            yield class_of(leader["name"]) in judged.missed, figures
+
+
+def prices(missing: np.ndarray, figures: np.ndarray) -> dict[int, int]:
+    """Return for each number of right effects that least values of the figures (n, 4) let pass the fewest wrong ones with them."""
+    found: dict[int, int] = {}
+    for least in itertools.product(*(np.unique(np.append(column, -np.inf)) for column in figures[missing].T)):
+        passed = (figures >= np.array(least)).all(axis=1)
+        right, wrong = int((passed & missing).sum()), int((passed & ~missing).sum())
+        found[right] = min(found.get(right, wrong), wrong)
+    return dict(sorted(found.items()))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of a blind test that is diagnosed")
+    out = parser.parse_args().out
+    missing, figures = (np.array(column) for column in zip(*refused(out), strict=True))
+    rows = [f"| {right} | {wrong} |" for right, wrong in prices(missing, figures).items()]
+    text = f"""# Further effects that were refused
+
+`python benchmarks/blind/refused.py --out out/blind/{out.name}`: {len(missing)} further effects led the last round of a record with
+one effect or two and were refused; {int(missing.sum())} of them were missing. The best that least values of gain over chance, gain
+over that of the first effect, size and kept gain could do, chosen with the answers known:
+
+| missing ones named | wrong ones named with them, at least |
+|---|---|
+{chr(10).join(rows)}
+"""
+    TARGET.write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
