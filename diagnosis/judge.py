@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,10 +75,10 @@ def judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Seque
     rivals = [c for c in contenders if tests[c.name].large and c.gain_over(plain) > RIVAL * best.gain_over(plain)]
     leader = max(rivals or contenders, key=lambda c: c.merit)
     sound = [c for c in contenders if tests[c.name].large and tests[c.name].proven]
-    others = [c for c in sound if (_spares(c, leader) if leader in sound else _close(leader, c))]
+    others = [c for c in sound if (_spares(c, leader, tests) if leader in sound else _close(leader, c))]
     leader = max(others or [leader], key=lambda c: c.merit)
     gain, test = leader.gain_over(plain), tests[leader.name]
-    ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain))
+    ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain, tests))
     told = {c.name: replace(c, test=replace(tests[c.name], behind=apart(leader, c))) for c in contenders}
     assert leader.fit is not None
     return Verdict(
@@ -177,14 +177,21 @@ def _clipped(gains: Array, most: float) -> float:
     return float(np.clip(gains, -most, most).sum())
 
 
-def _spares(plain: Candidate, rich: Candidate) -> bool:
+def _spares(plain: Candidate, rich: Candidate, tests: Mapping[str, Test]) -> bool:
     """True if a candidate does with fewer parameters what another does no better than by chance.
+
+    Or if it leaves no larger an error, and the records hardly tell them apart: a step soon after the start is nearly a constant
+    torque, and can always be moved to where it gains a few nats more.
 
     Source: wilks1938 (likelihood ratio of a model within another, 1 %).
     """
     assert plain.fit is not None
     assert rich.fit is not None
-    return plain.size < rich.size and rich.fit.total - plain.fit.total < RATIO * (rich.size - plain.size)
+    if plain.size >= rich.size:
+        return False
+    chance = rich.fit.total - plain.fit.total < RATIO * (rich.size - plain.size)
+    comparable = not find_effect(plain.name).local  # whose fall may be that of a few segments alone
+    return chance or (comparable and tests[plain.name].fall >= tests[rich.name].fall and _close(rich, plain))
 
 
 def _close(best: Candidate, other: Candidate) -> bool:
@@ -193,10 +200,10 @@ def _close(best: Candidate, other: Candidate) -> bool:
     return behind < CLOSE * doubt
 
 
-def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float) -> bool:
+def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float, tests: Mapping[str, Test]) -> bool:
     """True if the records do not tell two candidates apart; where the motion is uniform, any strong one is a rival."""
     assert best.fit is not None
     assert other.fit is not None
     if narrow and best.fit.total - other.fit.total < (1 - RIVAL) * gain:
         return True
-    return apart(best, other)[0] < ODDS and not _spares(best, other)
+    return apart(best, other)[0] < ODDS and not _spares(best, other, tests)

@@ -185,6 +185,8 @@ def _remains(diagnosis: Diagnosis) -> str:
             f'<p class="alarm">Something remains: {share} of the residual can be predicted{where}, '
             "and no effect of the catalogue explains it.</p>"
         )
+    if left.view is None:
+        return "<p>Nothing that stands out: no view predicts more of the residual than chance gives.</p>"
     return f"<p>Nothing that stands out: at most {share} of the residual can be predicted from any view.</p>"
 
 
@@ -194,7 +196,7 @@ def _views(diagnosis: Diagnosis) -> str:
         name = escape(view_name(v.view, v.label))
         rows.append((name, f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2)))
     kept = 5 if improved(diagnosis) else 3
-    head = ("view", "share before", "p", "share after", "p")
+    head = ("view", "share before" if kept == 5 else "share", "p", "share after", "p")
     return table(head[:kept], [row[:kept] for row in rows], (1, 2, 3, 4)) if rows else ""
 
 

@@ -48,7 +48,7 @@ def words(name: str) -> str:
 
 def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str) -> str:
     """Return what to measure next, or an empty text; `narrow` says why the motion is too uniform, if it is."""
-    lines = [f"Name nothing for certain on these records: {narrow}."] if narrow else []
+    lines = [f"Nothing can be named for certain on records of such a motion: {narrow}."] if narrow else []
     for tie in ties:
         known = SEPARATE.get(frozenset(tie))
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)

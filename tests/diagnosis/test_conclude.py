@@ -46,7 +46,8 @@ def test_verdict_without_a_name(last: Verdict, narrow: str, left: Remains, verdi
     ("intervals", "mute"),
     [
         ({"J": (-0.02, 0.04), "Fc": (-0.2, 0.4)}, ("J", "Fc")),
-        ({"J": (0.009, 0.021), "Fc": (-0.2, 0.4)}, ()),
+        ({"J": (0.002, 0.028), "Fc": (-0.2, 0.4)}, ("J", "Fc")),
+        ({"J": (0.012, 0.018), "Fc": (-0.2, 0.4)}, ()),
         ({"J": (-0.02, 0.04), "Fc": None}, ("J", "Fc")),
         ({}, ()),
     ],
@@ -54,3 +55,8 @@ def test_verdict_without_a_name(last: Verdict, narrow: str, left: Remains, verdi
 def test_records_that_tell_no_parameter(intervals: dict[str, tuple[float, float] | None], mute: tuple[str, ...]) -> None:
     middle = {name: sum(ends) / 2 if ends else 0.1 for name, ends in intervals.items()}
     assert mute_parameters({name: Estimate(middle[name], "1", ends) for name, ends in intervals.items()}) == mute
+
+
+def test_what_ends_at_a_bound_is_not_told() -> None:
+    plain = {"J": Estimate(0.05, "kg.m2", (-0.02, 0.12)), "Fc": Estimate(0.5, "N.m", (0.49, 0.51), at_bound=True)}
+    assert mute_parameters(plain) == ("J", "Fc")
