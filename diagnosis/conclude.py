@@ -41,8 +41,9 @@ def conclude(
     named = final.servo.effects[len(model.effects) :]
     gap = gap_between(model, bench, base, final)
     left = remains(after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final))
-    mute = () if named or _open(last) else mute_parameters(plain)
-    verdict = "named" if named else "not_identifiable" if mute else unnamed(last, bench.narrow, left)
+    undecided = () if named else _open(last)
+    mute = () if named or undecided else mute_parameters(plain)
+    verdict = "named" if named else unnamed(last, bench.narrow, left, mute)
     intervals = estimates(model, whole, final.problem.only(bench.segments.judged))
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
@@ -53,7 +54,7 @@ def conclude(
         for name, v in ((name, of[name]) for name in named)
     )  # fmt: skip
     own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
-    choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in _open(last) and c.fit} if not named else {}
+    choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in undecided and c.fit}
     return answer.Diagnosis(
         verdict=verdict,
         statement=story.statement(verdict, effects, ties, gap, left, intervals, mute),
@@ -108,11 +109,14 @@ def _open(verdict: Verdict) -> tuple[str, ...]:
     return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
 
 
-def unnamed(last: Verdict, narrow: str, left: answer.Remains) -> str:
-    """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses."""
+def unnamed(last: Verdict, narrow: str, left: answer.Remains, mute: Sequence[str] = ()) -> str:
+    """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses.
+
+    `mute` are the model's parameters if the records tell none of them.
+    """
     classes = {group(name) for name in _open(last)}
     if not classes:
-        return "not_identifiable" if narrow and (left.flag or last.best) else "none"
+        return "not_identifiable" if mute or (narrow and (left.flag or last.best)) else "none"
     many = story.MANY_UNIFORM if narrow else story.MANY
     return "tie" if len(classes) <= many and not last.withdrawn else "not_identifiable"
 

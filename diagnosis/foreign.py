@@ -107,7 +107,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     left = mean_square(base.fit, twin.bench.held)
     kept = replace(like, bounds=_around(model, like))
     if twin.error > TRUST * math.sqrt(left):
-        return _refused(kept, records, (twin.error, math.sqrt(left)), lines, time.perf_counter() - begun)
+        return _refused(kept, twin, records, left, lines, time.perf_counter() - begun)
     found = examine(free, records, twin.bench, base, tell, begun)
     return replace(found, model=kept, findings=(*lines, *_wrong(fmu, found, twin), *found.findings))
 
@@ -287,17 +287,16 @@ def _excess(ratio: float) -> str:
 
 
 def _refused(
-    like: Model, records: Sequence[Record], away: tuple[float, float], lines: list[str], seconds: float
+    like: Model, twin: Twin, records: Sequence[Record], left: float, lines: list[str], seconds: float
 ) -> answer.Diagnosis:
     """Return a diagnosis that names nothing, because the servo that the search would run on is not the FMU.
 
-    `away` is how far the servo stays from the FMU it is fitted to, and from the records when refitted [output, rms].
+    `left` is the mean square [output squared] that is left between the servo and the records when it is refitted.
     """
-    left = away[1] ** 2
     why = (
         f"The search runs on a servo that is fitted to the FMU, and with {like.friction} friction none comes near: it stays "
-        f"{away[0]:.3g} {like.output_unit} rms from the FMU, and {away[1]:.3g} {like.output_unit} from the records when refitted "
-        "to them. What the FMU lacks cannot be seen behind that. "
+        f"{twin.error:.3g} {like.output_unit} rms from the FMU, and {math.sqrt(left):.3g} {like.output_unit} from the records when "
+        "refitted to them. What the FMU lacks cannot be seen behind that. "
         "Give a MODEL.toml with the FMU's own friction law, effects and parameters."
     )
     return answer.Diagnosis(

@@ -135,6 +135,11 @@ class Model:
         """SI unit of the output."""
         return ("m" if self.linear else "rad") + ("/s" if self.output_kind == "velocity" else "")
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Nominal values of all parameters, those of the effects that it has already included (``gravity.amplitude``)."""
+        return {**self.parameters, **{f"{e}.{p}": x for e, values in self.effects.items() for p, x in values.items()}}
+
     def unit(self, name: str) -> str:
         """Return the SI unit of a parameter of the servo, of the law or of any effect (``cogging.amplitude``)."""
         return si_unit(_declared(self.friction)[name].unit, self.linear, self.input_kind)
@@ -144,8 +149,7 @@ class Model:
 
         The input is never clipped (u_max), and b is 1 where the input is a torque or a force.
         """
-        own = {"b": 1.0, **self.parameters, **{f"{e}.{p}": x for e, values in self.effects.items() for p, x in values.items()}}
-        return {"u_max": NO_LIMIT, **own, **(parameters or {})}
+        return {"u_max": NO_LIMIT, "b": 1.0, **self.values, **(parameters or {})}
 
     @classmethod
     def from_dict(cls, tree: Mapping[str, Any], where: Path | str = "model") -> Model:

@@ -104,8 +104,7 @@ class _Writer:
     def base(self, diagnosis: Diagnosis, choose: str | None) -> str:
         """Return the model's parameters: nominal, refitted, refitted with the effects."""
         model = diagnosis.model
-        given = {f"{e}.{p}": x for e, values in model.effects.items() for p, x in values.items()} if model is not None else {}
-        nominal = {**model.parameters, **given} if model is not None else {}
+        nominal = model.values if model is not None else {}
         columns = {"refitted alone": diagnosis.base} if diagnosis.base and not diagnosis.proposals else {}
         if diagnosis.effects:
             columns["refitted with " + _listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters

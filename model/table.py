@@ -18,6 +18,8 @@ from bristle.model.units import parse_unit
 
 Array = NDArray[np.float64]
 
+SEPARATORS = ",;\t"  # of a CSV
+
 
 class Columns(dict[str, Array]):
     """Columns by name, each of shape (n,); `unusable` says of others what they hold instead of numbers."""
@@ -64,7 +66,7 @@ def _read_csv(path: Path) -> Columns:
     with path.open(newline="", encoding="utf-8-sig") as stream:
         first, above = _header(stream)
         # a header without a comma is one of semicolons or tabs, which spreadsheets write
-        separator = next((mark for mark in ",;\t" if mark in first), ",")
+        separator = next((mark for mark in SEPARATORS if mark in first), ",")
         header = [name.strip() for name in next(csv.reader([first.lstrip("# ")], delimiter=separator), [])]
         if any(_is_number(name) for name in header):
             raise BristleError(f"record {path}: the first line holds numbers; write the column names there")
@@ -92,7 +94,7 @@ def _header(stream: TextIO) -> tuple[str, int]:
         begin = stream.tell()
         following = stream.readline()
         stream.seek(begin)
-        remark = first.startswith("#") and not _is_number(re.split("[,;\t]", following)[0])
+        remark = first.startswith("#") and not _is_number(re.split(f"[{SEPARATORS}]", following)[0])
         if first.strip() and not remark:
             break
         first, number = stream.readline(), number + 1

@@ -11,26 +11,26 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 from forms import class_of
+from run import answered
 from score import Judged
 
 TARGET = Path(__file__).resolve().parents[1] / "results" / "refused.md"
 GROUPS = ("same", "other", "low", "faint", "pair")
 
 
-def refused(out: Path) -> Iterator[tuple[bool, tuple[float, ...]]]:
-    """Give of each refused further effect whether it was missing, and its four figures."""
-    for path in sorted((out / "results").glob("*.json")):
-        answer, result = (json.loads((out / part / path.name).read_text(encoding="utf-8")) for part in ("answers", "results"))
+def refused(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[float, ...]]]:
+    """Give of each refused further effect in (answer, result) whether it was missing, and its four figures."""
+    for answer, result in pairs:
         judged, rounds = Judged(answer, result), result["rounds"]
         if answer["group"] not in GROUPS or not judged.named or len(rounds) < 2 or rounds[-1]["added"]:
             continue
@@ -55,7 +55,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of a blind test that is diagnosed")
     out = parser.parse_args().out
-    missing, figures = (np.array(column) for column in zip(*refused(out), strict=True))
+    missing, figures = (np.array(column) for column in zip(*refused(answered(out)), strict=True))
     rows = [f"| {right} | {wrong} |" for right, wrong in prices(missing, figures).items()]
     text = f"""# Further effects that were refused
 

@@ -115,14 +115,19 @@ def diagnose_all(out: Path, jobs: int) -> None:
     _work(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in folders], jobs, "diagnose")
 
 
-def score_all(out: Path) -> tuple[str, str]:
-    """Score what has been diagnosed; write score.md and score.json; return the figures and the other tables as markdown."""
+def answered(out: Path) -> list[tuple[Any, Any]]:
+    """Return (answer, result) of each case that has been diagnosed; the answers must be those that were sealed."""
     check_seal(out)
     pairs = []
     for path in sorted((out / "results").glob("*.json")):
         answer = json.loads((out / "answers" / path.name).read_text(encoding="utf-8"))
         pairs.append((answer, json.loads(path.read_text(encoding="utf-8"))))
-    figures, others, data = tables(pairs)
+    return pairs
+
+
+def score_all(out: Path) -> tuple[str, str]:
+    """Score what has been diagnosed; write score.md and score.json; return the figures and the other tables as markdown."""
+    figures, others, data = tables(answered(out))
     (out / "score.md").write_text(f"{figures}\n\n{others}", encoding="utf-8")
     write_json(out / "score.json", data, indent=1)
     return figures, others

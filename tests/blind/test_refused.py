@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 from refused import prices, refused
+
+ALONE = ["gravity"]
+BOTH = ["gravity", "bias/asymmetric_coulomb"]
 
 
 def test_the_price_of_each_number_of_right_ones() -> None:
@@ -17,20 +17,12 @@ def test_the_price_of_each_number_of_right_ones() -> None:
     assert prices(missing, figures) == {1: 0, 2: 1}
 
 
-def test_what_was_refused_and_whether_it_was_missing(tmp_path: Path) -> None:
-    def put(part: str, name: str, content: object) -> None:
-        (tmp_path / part).mkdir(exist_ok=True)
-        (tmp_path / part / f"{name}.json").write_text(json.dumps(content))
-
+def test_what_was_refused_and_whether_it_was_missing() -> None:
     leader = {"name": "bias", "kept": 4.0}
     last = {"added": None, "decision": "'bias' is certain but small", "candidates": [leader]}
     last |= {"gain": 30.0, "null_level": 10.0, "size": 1.1}
     result = {"verdict": "named", "effects": [{"name": "gravity"}], "rounds": [{"gain": 60.0}, last]}
-    for name, hidden in (("1", ["gravity", "bias/asymmetric_coulomb"]), ("2", ["gravity"])):
-        put("answers", name, {"group": "pair", "effects": [{"class": each} for each in hidden]})
-        put("results", name, result)
-    put("answers", "3", {"group": "pair", "effects": [{"class": "gravity"}]})
-    put("results", "3", result | {"rounds": [{"gain": 60.0}]})
-    put("answers", "4", {"group": "outside", "effects": []})
-    put("results", "4", result)
-    assert list(refused(tmp_path)) == [(True, (3.0, 0.5, 1.1, 4.0)), (False, (3.0, 0.5, 1.1, 4.0))]
+    alone, both = ({"group": "pair", "effects": [{"class": c} for c in classes]} for classes in (ALONE, BOTH))
+    short, outside = result | {"rounds": [{"gain": 60.0}]}, {"group": "outside", "effects": []}
+    pairs = [(both, result), (alone, result), (alone, short), (outside, result)]
+    assert list(refused(pairs)) == [(True, (3.0, 0.5, 1.1, 4.0)), (False, (3.0, 0.5, 1.1, 4.0))]
