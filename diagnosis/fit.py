@@ -23,6 +23,7 @@ PATIENCE = 3  # steps in a row that gain nothing
 WILD = 1e12  # outputs and derivatives beyond this, or none, are those of a simulation that failed
 FAILED = 1e6  # squared misfit of a segment whose simulation failed
 DAMPING = 1e-3
+APART = 1e-12  # least difference of two start states' derivatives, of their squares: more would be rounding
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class Begin:
         """Return it for a whitened residual (segments, bins); start states are known to lie `offset` from where they are."""
         turned = by_start.transpose(0, 2, 1)
         normal = np.matmul(turned, by_start)
-        normal[:, [0, 1], [0, 1]] += precision
+        normal[:, [0, 1], [0, 1]] = normal[:, [0, 1], [0, 1]] * (1 + APART) + precision
         pull = np.matmul(turned, white[:, :, None])[:, :, 0] + precision * offset
         return cls(by_start, pull, np.linalg.inv(normal))
 

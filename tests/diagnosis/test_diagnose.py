@@ -115,7 +115,7 @@ def the_same_as_in_the_readme(said: str) -> None:
     assert shown is not None
     words, numbers = zip(*((NUMBER.sub("#", " ".join(t.split())), NUMBER.findall(t)) for t in (shown[0], said)), strict=True)
     assert words[1].startswith(words[0])
-    np.testing.assert_allclose(np.array(numbers[1][: len(numbers[0])], float), np.array(numbers[0], float), rtol=0.03)
+    np.testing.assert_allclose(np.array(numbers[1][: len(numbers[0])], float), np.array(numbers[0], float), rtol=0.1)
 
 
 def test_the_command_line_on_a_shipped_case(

@@ -9,7 +9,7 @@ import pytest
 
 from bristle.diagnosis.bench import lens_of
 from bristle.diagnosis.candidates import freedom, scanned
-from bristle.diagnosis.fit import Free, begun_well, evaluate, refit, rescored, resume
+from bristle.diagnosis.fit import Begin, Free, begun_well, evaluate, refit, rescored, resume
 from bristle.diagnosis.intervals import covariance
 from bristle.diagnosis.search import look
 
@@ -210,3 +210,16 @@ def test_a_rugged_effect_is_found_from_a_play_and_a_stiffness_that_are_far_off(c
     assert tried.total > rescored(problem, steps).total + 100
     assert tried.values["backlash.play"] == pytest.approx(0.03, rel=0.05)
     assert scanned(steps, backlash.bench.left_by, ("gravity",)).values == steps.values
+
+
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e12])
+def test_start_states_that_do_the_same_are_moved_by_what_is_known_of_them(size):
+    """A simulation that runs away follows both alike, by far more than rounding leaves of what is known of them."""
+    by_start = size * np.outer(np.linspace(0.3, 1.0, 50), [1.0, 3.0])[None]
+    begin = Begin.of(by_start, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2)))
+    move = begin.moves(begin.pull)
+    assert np.isfinite(begin.inverse).all()
+    left = np.ones((1, 50)) - (by_start @ move[:, :, None])[:, :, 0]
+    shape = by_start[0, :, 0]
+    best = np.ones(50) - shape * (shape.sum() / (shape @ shape))
+    np.testing.assert_allclose(left[0], best, atol=1e-3)
