@@ -6,8 +6,8 @@ values, and their digits, are the same either way.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 FEWEST = 8  # operations that are worth a branch
@@ -26,72 +26,75 @@ class Line:
 
 @dataclass(frozen=True)
 class Branch:
-    """Lines computed only if a condition holds, and names that get a value then, and 0 otherwise."""
+    """Lines computed only if a condition holds; those of them in `shown` are 0 otherwise, the others are of no use outside."""
 
     condition: str
-    lines: tuple[Line, ...]
-    results: tuple[Line, ...]
+    lines: tuple[Line | Branch, ...]
+    shown: tuple[str, ...]
 
 
-def arranged(lines: Sequence[Line], wanted: Iterable[str]) -> list[Line | Branch]:
-    """Return the lines in an order that holds, in branches where that saves work; `wanted` are needed in any case."""
-    guards = _guards(lines, set(wanted))
-    of = {line.name: line for line in lines}
-    place = {line.name: i for i, line in enumerate(lines)}
-    done: set[str] = set()
-    out: list[Line | Branch] = []
-    left = [line for line in lines if line.name not in guards]
+def arranged(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str] = frozenset()) -> list[Line | Branch]:
+    """Return the lines in an order that holds, in branches where that saves work.
+
+    `wanted` are needed in any case; conditions that are `inside` hold already.
+    """
+    guards = _guards(lines, wanted, inside)
+    users: dict[str, set[str]] = defaultdict(set)
+    for line in lines:
+        for need in line.needs:
+            users[need].add(line.name)
+    known = {line.name for line in lines}
+    done, out, left = {need for line in lines for need in line.needs} - known, [], list(lines)
     while left:
-        waiting = []
-        for line in left:
-            if set(line.needs) <= done:
-                out.append(line)
-                done.add(line.name)
-            else:
-                waiting.append(line)
-        ready: dict[str, list[tuple[Line, set[str]]]] = defaultdict(list)
-        for line in waiting:
-            inside = _inside(line, guards, of)
-            outside = {line.condition} | {need for name in inside for need in of[name].needs if need not in inside}
-            if inside and outside <= done:
-                ready[line.condition].append((line, inside))
-        if waiting and not ready:  # nothing but order: what a branch would compute is needed by another one first
-            raise AssertionError("lines in no order")
-        for condition, several in ready.items():
-            members = sorted(set().union(*(inside for _, inside in several)), key=place.__getitem__)
-            out.append(Branch(condition, tuple(of[name] for name in members), tuple(line for line, _ in several)))
-            done |= {line.name for line, _ in several}
-        left = [line for line in waiting if line.name not in done]
+        plain = _ready(left, done, [line.name for line in left if line.name not in guards])
+        if plain:
+            out += plain
+        else:
+            condition, members = _next_branch(left, done, guards)
+            names = {line.name for line in members}
+            shown = [name for name in (line.name for line in members) if name in wanted or not users[name] <= names]
+            out.append(Branch(condition, tuple(arranged(members, shown, inside | {condition})), tuple(shown)))
+            plain = members
+        done |= {line.name for line in plain}
+        left = [line for line in left if line.name not in done]
     return out
 
 
-def _guards(lines: Sequence[Line], wanted: set[str]) -> dict[str, str]:
-    """Return the condition of each line that no one needs but values under this one condition."""
-    users: dict[str, list[tuple[Line, bool]]] = defaultdict(list)
-    for line in lines:
-        for need in set(line.needs):
-            users[need].append((line, bool(line.condition) and need == line.value and need != line.condition))
-    guard: dict[str, str] = {}
+def _guards(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str]) -> dict[str, str]:
+    """Return the condition under which alone each line is needed: of several, the one that most lines have."""
+    under: dict[str, set[str]] = {}
     for line in reversed(lines):
-        under = {
-            user.condition if as_value and user.name not in guard else guard.get(user.name, "")
-            for user, as_value in users[line.name]
-        }
-        if len(under) == 1 and "" not in under and line.name not in wanted:
-            guard[line.name] = under.pop()
-    size: dict[str, int] = defaultdict(int)
-    for condition in guard.values():
-        size[condition] += 1
-    return {name: condition for name, condition in guard.items() if size[condition] >= FEWEST}
+        mine = under.setdefault(line.name, set())
+        if line.name in wanted:
+            mine.clear()
+        for need in set(line.needs):
+            as_value = line.condition and need == line.value and need != line.condition
+            there = mine | {line.condition} - inside if as_value else mine
+            under[need] = under[need] & there if need in under else set(there)
+    most = Counter(condition for line in lines for condition in under[line.name])
+    guards = {line.name: max(mine, key=lambda c: (most[c], c)) for line in lines if (mine := under[line.name])}
+    size = Counter(guards.values())
+    return {name: condition for name, condition in guards.items() if size[condition] >= FEWEST}
 
 
-def _inside(line: Line, guards: dict[str, str], of: dict[str, Line]) -> set[str]:
-    """Return the guarded lines that a value under a condition needs."""
-    found: set[str] = set()
-    todo = [line.value] if line.condition else []
-    while todo:
-        name = todo.pop()
-        if name not in found and guards.get(name) == line.condition:
-            found.add(name)
-            todo += of[name].needs
+def _ready(left: Sequence[Line], done: set[str], names: Collection[str]) -> list[Line]:
+    """Return those of the named lines that need nothing but what is done and each other, in their order."""
+    found, known, among = [], set(done), set(names)
+    for line in left:
+        if line.name in among and known.issuperset(line.needs):
+            found.append(line)
+            known.add(line.name)
     return found
+
+
+def _next_branch(left: Sequence[Line], done: set[str], guards: dict[str, str]) -> tuple[str, list[Line]]:
+    """Return the condition and the lines of the branch that comes next: a whole one if there is any, otherwise the longest."""
+    groups: dict[str, list[str]] = defaultdict(list)
+    for line in left:
+        if line.name in guards and guards[line.name] in done:
+            groups[guards[line.name]].append(line.name)
+    ready = {condition: _ready(left, done, names) for condition, names in groups.items()}
+    best = max(ready, key=lambda c: (len(ready[c]) == len(groups[c]), len(ready[c])), default="")
+    if not best or not ready[best]:  # nothing but order: what a branch would compute is needed by another one first
+        raise AssertionError("lines in no order")
+    return best, ready[best]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -102,21 +102,24 @@ def emit_c(kernel: Kernel) -> str:
     for function, targets in kernel.blocks:
         lines, results = _walk(function, kernel.reads, _C)
         text.append("    {")
-        for line in arranged(lines, results.values()):
-            text += _branch(line) if isinstance(line, Branch) else [f"        const double {line.name} = {line.text};"]
+        text += _statements(arranged(lines, set(results.values())), (), "        ")
         text += [f"        {array}[{targets[k]}] = {results[k]};" for k in sorted(results)]
         text.append("    }")
     return "\n".join([*text, "}", ""])
 
 
-def _branch(branch: Branch) -> list[str]:
-    return [
-        f"        double {', '.join(f'{line.name} = 0.0' for line in branch.results)};",
-        f"        if ({branch.condition} != 0) {{",
-        *(f"            const double {line.name} = {line.text};" for line in branch.lines),
-        *(f"            {line.name} = {line.value};" for line in branch.results),
-        "        }",
-    ]
+def _statements(lines: Sequence[Line | Branch], shown: Collection[str], indent: str) -> list[str]:
+    """Return the lines as C; those in `shown` are declared outside."""
+    text = []
+    for line in lines:
+        if isinstance(line, Line):
+            text.append(f"{indent}{'' if line.name in shown else 'const double '}{line.name} = {line.text};")
+            continue
+        if fresh := [name for name in line.shown if name not in shown]:
+            text.append(f"{indent}double {', '.join(f'{name} = 0.0' for name in fresh)};")
+        inner = _statements(line.lines, {*shown, *line.shown}, indent + "    ")
+        text += [f"{indent}if ({line.condition} != 0) {{", *inner, f"{indent}}}"]
+    return text
 
 
 def emit_python(kernel: Kernel) -> str:
