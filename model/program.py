@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -55,10 +56,10 @@ class Kernel:
 
 @dataclass
 class Variant:
-    """What the core needs to know about one system: its functions and the places of its states."""
+    """What the core needs to know about one system: its functions (`make`) and the places of its states."""
 
     system: System
-    kernels: dict[str, Kernel] = field(default_factory=dict)
+    make: Callable[[], dict[str, Kernel]]
     states: tuple[int, ...] = ()
     ders: tuple[int, ...] = ()
     finite: tuple[int, ...] = ()  # places that must stay finite
@@ -66,6 +67,11 @@ class Variant:
     max_step: int = -1
     max_steps: int = -1
     friction_step: int = -1
+
+    @cached_property
+    def kernels(self) -> dict[str, Kernel]:
+        """All functions by name, made when the first is asked for: a program whose library is at hand needs none."""
+        return self.make()
 
     def kept(self) -> dict[str, Kernel]:
         """Return the functions the core can call: those with something to do, and those it calls always."""
@@ -183,37 +189,42 @@ class Program:
         return Kernel(f"{system.name}_{name}", tuple(made), reads, to_output)
 
     def _variant(self, system: System) -> Variant:
-        h = SX.sym("h")
-
         def slot(names: Iterable[str]) -> tuple[int, ...]:
             return tuple(self.place(system, name) for name in names)
 
         def parameter(declared: Parameter) -> int:
             return self.index[declared.name] if declared.name in system.parameters else -1
 
-        group = {**system.states, **system.before, **system.after, **system.modes}
-        variant = Variant(
+        for name in self.sensitivities:
+            if name not in system.parameters:
+                raise BristleError(f"'{name}' is no parameter of '{system.name}'; known: {', '.join(system.parameters)}")
+        return Variant(
             system,
+            partial(self._kernels, system),
             states=slot(system.states),
             ders=tuple(self.index[f"der({_own(system, n)})"] for n in system.states) if system.smooth else (),
-            finite=slot(group),
+            finite=slot({**system.states, **system.before, **system.after, **system.modes}),
             sample_time=parameter(SAMPLE_TIME) if system.before or system.after else -1,
             max_step=parameter(MAX_STEP),
             max_steps=parameter(MAX_STEPS),
             friction_step=parameter(FRICTION_STEP),
         )
 
+    def _kernels(self, system: System) -> dict[str, Kernel]:
+        h, kernels = SX.sym("h"), {}
+
         def add(name: str, blocks: Iterable[tuple[Any, Sequence[int]]], to_output: bool = False) -> None:
-            variant.kernels[name] = self._kernel(system, name, blocks, h, to_output)
+            kernels[name] = self._kernel(system, name, blocks, h, to_output)
 
         def values(pairs: dict[str, SX]) -> tuple[Any, tuple[int, ...]]:
-            return ca.vertcat(*pairs.values()), slot(pairs)
+            return ca.vertcat(*pairs.values()), tuple(self.place(system, name) for name in pairs)
 
         def public(pairs: dict[str, tuple[Variable, SX]]) -> list[tuple[Any, tuple[int, ...]]]:
             places = tuple(self.index[name] for name in pairs)
             return [(ca.vertcat(*(expression for _, expression in pairs.values())), places)] if pairs else []
 
         add("derive", [*(values(block) for block in system.constants), *public(system.calculated)])
+        group = {**system.states, **system.before, **system.after, **system.modes}
         add("start", [values({name: SX(state.initial) for name, state in group.items()})])
         add("outputs", public(system.outputs))
         for name, sampled in (("before", system.before), ("after", system.after), ("modes", system.modes)):
@@ -240,13 +251,10 @@ class Program:
             knowns = system.vector([*system.states, *system.inputs])
             jacobian = ca.jacobian(found, knowns)
             add("jacobian", [(ca.vec(jacobian.T), range(jacobian.numel()))], to_output=True)
-        return variant
+        return kernels
 
     def _derivative(self, system: System, values: SX, unknowns: Sequence[Unknown] = ()) -> tuple[SX, range]:
         """Return d(values)/d(x, chosen parameters), row-major; constants and what is solved for are differentiated too."""
-        for name in self.sensitivities:
-            if name not in system.parameters:
-                raise BristleError(f"'{name}' is no parameter of '{system.name}'; known: {', '.join(system.parameters)}")
         knowns = system.vector([*system.states, *self.sensitivities])
         jacobian = ca.jacobian(system.expand(values), knowns)
         slopes: list[tuple[SX, SX]] = []  # of the unknowns by the knowns: implicit function theorem

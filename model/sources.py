@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
 from importlib.resources import files
+from importlib.resources.abc import Traversable
+from typing import Any
 
+import casadi as ca
+
+from bristle.model.cache import digest
 from bristle.model.emit import emit_c
-from bristle.model.program import Kernel, Program, Variant
+from bristle.model.program import Program, Variant
+from bristle.model.system import System
+
+SX = ca.SX
 
 KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian", "seen_jacobian")
 
@@ -29,20 +38,50 @@ def _variant(variant: Variant) -> tuple[str, str]:
 
 
 def fingerprint(program: Program) -> tuple[str, ...]:
-    """Return texts that are the same where the sources are the same, far sooner than the sources: nothing is spelled out."""
+    """Return texts that differ where the sources would, far sooner than the sources: no function is made for it.
+
+    They are the equations as they were written down, and the code that makes functions of them.
+    """
+    layout = repr((program.name, program.description, program.selector, program.sensitivities, program.observed, program.slots))
+    return (_code(), layout, *(_equations(variant.system) for variant in program.variants))
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """Return the hash of everything that turns equations into C."""
     package = files("bristle.model")
-    spelling = ((package / name).read_text(encoding="utf-8") for name in ("emit.py", "branches.py"))
-    return (*spelling, *(text for pair in sorted(c_sources(program, _stored).items()) for text in pair))
+    texts = [path.read_text(encoding="utf-8") for folder in (package, package / "c") for path in _sources(folder)]
+    return digest(ca.__version__, *texts)
 
 
-def _stored(kernel: Kernel) -> str:
-    """Return what stands for a kernel: its functions as CasADi stores them, and the places it reads and writes."""
-    functions = [hashlib.sha256(function.serialize().encode()).hexdigest() for function, _ in kernel.blocks]
-    return repr((kernel.name, functions, [tuple(targets) for _, targets in kernel.blocks], kernel.reads, kernel.to_output))
+def _sources(folder: Traversable) -> list[Traversable]:
+    return sorted((path for path in folder.iterdir() if path.name.endswith((".py", ".c", ".h"))), key=lambda path: path.name)
 
 
-def c_sources(program: Program, spell: Callable[[Kernel], str] = emit_c) -> dict[str, str]:
-    """Return file name -> text of everything that makes the program run, standing alone; `spell` gives that of a kernel."""
+def _equations(system: System) -> str:
+    """Return a system as text: all its fields, with expressions as CasADi stores them."""
+    found: list[SX] = []
+    text = repr(_plain(system, found))
+    symbols = [system.time, *system.symbols.values()]
+    return f"{text} {ca.Function('system', symbols, found).serialize()}"
+
+
+def _plain(value: Any, found: list[SX]) -> Any:
+    """Return a value with its expressions replaced by their numbers in `found`, where they are put."""
+    if isinstance(value, SX):
+        found.append(ca.densify(value))
+        return f"expression {len(found)} of {value.shape}"
+    if is_dataclass(value) and not isinstance(value, type):
+        return [(field.name, _plain(getattr(value, field.name), found)) for field in fields(value)]
+    if isinstance(value, Mapping):
+        return [(key, _plain(each, found)) for key, each in value.items()]
+    if isinstance(value, (list, tuple)):
+        return [_plain(each, found) for each in value]
+    return value
+
+
+def c_sources(program: Program) -> dict[str, str]:
+    """Return file name -> text of everything that makes the program run, standing alone."""
     most = max(len(a.states) for a in program.variants)
     jacobian = max(a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0 for a in program.variants)
     header = f"""/* {program.name}: {program.description} (generated) */
@@ -60,7 +99,7 @@ def c_sources(program: Program, spell: Callable[[Kernel], str] = emit_c) -> dict
     body = [f"/* {program.name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
     entries = []
     for variant in program.variants:
-        body += [spell(kernel) for kernel in variant.kept().values()]
+        body += [emit_c(kernel) for kernel in variant.kept().values()]
         tables, entry = _variant(variant)
         body.append(tables)
         entries.append(entry)

@@ -2,11 +2,14 @@
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from bristle.model import sources
+from bristle.model.program import Program
 from bristle.model.sources import c_sources, fingerprint
+from bristle.observer import observer_program
 from bristle.plant.servo import servo_program
 
 
@@ -42,31 +45,76 @@ def test_the_same_program_built_anew_is_found_again():
     assert fingerprint(built(effects=("backlash",))) == fingerprint(built(effects=("backlash",)))
 
 
-def test_one_operation_more_in_one_kernel_changes_the_fingerprint():
-    program = built()
-    before, text = fingerprint(program), c_sources(program)
-    kernel = program.variants[0].kernels["outputs"]
-    function, targets = kernel.blocks[0]
-    arguments = function.sx_in()
-    changed = type(function)("outputs", arguments, [2 * function(*arguments)])
-    program.variants[0].kernels["outputs"] = replace(kernel, blocks=((changed, targets), *kernel.blocks[1:]))
-    assert c_sources(program) != text
-    assert fingerprint(program) != before
+def doubled(system, what, name):
+    """Change one equation of a system, as another formula in `plant/` would."""
+    if what == "constants":
+        system.constants[0] = {key: 2 * value for key, value in system.constants[0].items()}
+        return
+    place = getattr(system, what)
+    name = name or next(iter(place))
+    if what == "dry":
+        system.dry = replace(place, **{name: 2 * getattr(place, name)})
+    elif what == "states":
+        place[name] = replace(place[name], initial=place[name].initial + 1)
+    elif isinstance(place[name], tuple):
+        place[name] = (place[name][0], 2 * place[name][1])
+    else:
+        place[name] = 2 * place[name]
 
 
-def test_targets_belong_to_the_fingerprint():
+def servo(law, effects):
+    return servo_program(law, encoder=False, effects=effects, sensitivities=("J",), observed="theta")
+
+
+@pytest.mark.parametrize(
+    ("make", "what", "name"),
+    [
+        (lambda: servo("coulomb", ()), "rates", "v"),
+        (lambda: servo("coulomb", ()), "outputs", "theta"),
+        (lambda: servo("coulomb", ()), "calculated", None),
+        (lambda: servo("coulomb", ()), "dry", "bound"),
+        (lambda: servo("coulomb", ()), "dry", "inertia"),
+        (lambda: servo("coulomb", ()), "states", "theta"),
+        (lambda: servo("coulomb", ("bristle_damping",)), "dry", "stiffness"),
+        (lambda: servo("coulomb", ("asymmetric_coulomb",)), "dry", "backward"),
+        (lambda: servo("coulomb", ("input_delay",)), "updates", None),
+        (lambda: servo("gms", ()), "margins", None),
+        (observer_program, "constants", None),
+    ],
+)
+def test_one_operation_more_in_one_equation_changes_the_fingerprint(make, what, name):
+    program, changed = make(), make()
+    doubled(next(v.system for v in changed.variants if getattr(v.system, what)), what, name)
+    assert fingerprint(changed) != fingerprint(program)
+    assert c_sources(changed) != c_sources(program)
+
+
+def test_a_place_in_the_table_belongs_to_the_fingerprint():
     program = built()
     before = fingerprint(program)
-    kernel = program.variants[0].kernels["outputs"]
-    turned = tuple((function, targets[::-1]) for function, targets in kernel.blocks)
-    program.variants[0].kernels["outputs"] = replace(kernel, blocks=turned)
+    program.slots = [program.slots[0], program.slots[2], program.slots[1], *program.slots[3:]]
     assert fingerprint(program) != before
 
 
-def test_nothing_is_spelled_out_for_it(monkeypatch):
-    def never(kernel):
-        raise AssertionError("spelled out")
-
+@pytest.mark.parametrize("name", ["proximal.py", "core.c", "emit.py"])
+def test_the_code_that_makes_functions_belongs_to_the_fingerprint(name, monkeypatch):
+    """Whatever it would make of an equation is not looked at, so a change of it has to count by itself."""
     program = built()
-    monkeypatch.setattr(sources, "emit_c", never)
-    fingerprint(program)
+    before = fingerprint(program)
+    read = Path.read_text
+    monkeypatch.setattr(Path, "read_text", lambda self, **o: read(self, **o) + (" " if self.name == name else ""))
+    sources._code.cache_clear()
+    try:
+        assert fingerprint(program) != before
+    finally:
+        monkeypatch.undo()
+        sources._code.cache_clear()
+    assert fingerprint(program) == before
+
+
+def test_no_function_is_made_for_it(monkeypatch):
+    def never(self, system):
+        raise AssertionError("made")
+
+    monkeypatch.setattr(Program, "_kernels", never)
+    fingerprint(built())
