@@ -303,7 +303,9 @@ def follow(problem: Problem, candidate: Candidate) -> Candidate:
 def idle(name: str) -> dict[str, float]:
     """Return values at which optional parameters of an effect do nothing."""
     values = {"cogging.amplitude2": 0.0, "cogging.phase2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
-    return {key: value for key, value in values.items() if key.startswith(f"{name}.")}
+    effect = find_effect(name)
+    forms = {p.name: p.default for p in effect.parameters if effect.form and p.name == f"{name}.{effect.form[0]}"}
+    return {key: value for key, value in (values | forms).items() if key.startswith(f"{name}.")}
 
 
 def _bank(lens: Lens, fit: Fit, first: Fit, count: int) -> Array:

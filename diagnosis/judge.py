@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.bench import Bench, Stage
-from bristle.diagnosis.candidates import Candidate, Test, follow
+from bristle.diagnosis.candidates import Candidate, Test, follow, scanned
 from bristle.diagnosis.fit import ROUGH, Fit, Problem, begun_well, refit, resume
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.numerics import finer_gain
@@ -30,6 +30,7 @@ ALONE = 30.0  # times the level: beyond doubt whatever those segments say, where
 # that were 20 to 30 times the level, 5 were not)
 CLEAR = 3.0  # times the null's level: from there on the segments where a local effect acts say how large it is (controls: 2.2)
 CLOSE = 2.0  # standard errors that a candidate may be behind to take the place of a best one that does not hold
+NEARLY = 0.95  # of the fall that another one brings: no less to anyone who uses it
 RATIO = 3.3  # nats that a further parameter must gain
 MARK = 3.0  # nats: what one segment may say about it
 WIDE_MARK = 8.0  # the same where it is to prove that the best candidate holds on segments kept from the search:
@@ -90,13 +91,15 @@ def judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Seque
 def _plain(problem: Problem, stage: Stage, best: Candidate) -> Fit:
     """Return the servo without anything more, from where it stood and from where the best candidate has led it.
 
-    Where a servo sticks and slips the likelihood has small maxima: what a candidate gains by leaving one is not its own.
+    Where a servo sticks and slips the likelihood has small maxima: what a candidate gains by leaving one is not its own. A
+    contact has so many that its parameters are tried around as well.
     """
     assert best.fit is not None
     old = stage.fit
     values = {name: best.fit.values.get(name, value) for name, value in old.values.items()}
     led = refit(problem, old.simulator, old.free, values, best.fit.starts, enough=ROUGH)
-    return max((resume(problem, old, enough=ROUGH), led), key=lambda each: each.total)
+    better = max((resume(problem, old, enough=ROUGH), led), key=lambda each: each.total)
+    return scanned(better, lambda fit: problem, old.simulator.effects)
 
 
 def _inside(stage: Stage, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -180,7 +183,7 @@ def _clipped(gains: Array, most: float) -> float:
 def _spares(plain: Candidate, rich: Candidate, tests: Mapping[str, Test]) -> bool:
     """True if a candidate does with fewer parameters what another does no better than by chance.
 
-    Or if it leaves no larger an error, and the records hardly tell them apart: a step soon after the start is nearly a constant
+    Or if it leaves hardly a larger error, and the records hardly tell them apart: a step soon after the start is nearly a constant
     torque, and can always be moved to where it gains a few nats more.
 
     Source: wilks1938 (likelihood ratio of a model within another, 1 %).
@@ -191,7 +194,7 @@ def _spares(plain: Candidate, rich: Candidate, tests: Mapping[str, Test]) -> boo
         return False
     chance = rich.fit.total - plain.fit.total < RATIO * (rich.size - plain.size)
     comparable = not find_effect(plain.name).local  # whose fall may be that of a few segments alone
-    return chance or (comparable and tests[plain.name].fall >= tests[rich.name].fall and _close(rich, plain))
+    return chance or (comparable and tests[plain.name].fall >= NEARLY * tests[rich.name].fall and _close(rich, plain))
 
 
 def _close(best: Candidate, other: Candidate) -> bool:

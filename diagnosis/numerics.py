@@ -5,7 +5,7 @@ from __future__ import annotations
 from bristle.diagnosis.fit import Fit, Problem, evaluate, refit
 
 SHARE = 0.2  # of a gain: what falls more with the step of the simulation is not named
-LASTING = 3.0  # unless so many times the null's level is left
+LASTING, HALF = 3.0, 0.5  # unless so many times the null's level is left, and this share of the gain
 STEPS = 4  # of a refit, where finer steps move the optimum
 
 
@@ -29,8 +29,8 @@ def steady(gain: float, finer: float) -> bool:
 
 
 def numerical(gain: float, finer: float, level: float) -> bool:
-    """True if a gain vanishes with finer steps: it falls, to where chance comes near (`level`, all in nats).
+    """True if a gain vanishes with finer steps: it falls, to where chance comes near (`level`, all in nats), or by half.
 
-    Contacts go another way with each step size, which changes a gain but does not take it away.
+    Contacts go another way with each step size, which changes a gain but does not take most of it away.
     """
-    return finer < (1 - SHARE) * gain and finer < LASTING * level
+    return finer < (1 - SHARE) * gain and (finer < LASTING * level or finer < HALF * gain)

@@ -10,7 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.bench import LONG, Bench, Stage, lens_of
-from bristle.diagnosis.candidates import ELASTIC, RIGID, Candidate, Start, advance, evidence, explore, pursue, scanned, starts
+from bristle.diagnosis.candidates import (
+    ELASTIC,
+    RIGID,
+    Candidate,
+    Start,
+    advance,
+    evidence,
+    explore,
+    freedom,
+    pursue,
+    scanned,
+    starts,
+)
 from bristle.diagnosis.fit import Fit, Problem, evaluate, refit, rescored, resume
 from bristle.diagnosis.judge import AGREED, CLEAR, DOUBTLESS, SIZE, Verdict, judged
 from bristle.diagnosis.lens import Lens
@@ -27,7 +39,8 @@ Tell = Callable[[str, float], None]
 MOST = 4  # effects that are added
 HINT = 0.05  # p of a view that calls for another round
 HOPE = 0.6  # of the null's level: a candidate that promises less after one step is not followed
-MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise most after the first steps
+MOST_REFITTED = 6  # candidates that are refitted to the end: those that promise most after the first steps,
+FOLLOWED = 0.1  # and this share of what the best one promises
 PLAIN = 1.6  # a further effect lowers the error so, and shows anything on segments kept from the search or is local (of effects
 # that were not there, gained `CLEAR` times the level and were no wave's form, one lowered it by 1.9, the others by less than 1.5),
 MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
@@ -79,7 +92,8 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tupl
     hopeful = [c for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)]
     if not hopeful:
         return tried, null
-    chosen = {c.name for c in sorted(hopeful, key=lambda c: -c.promised)[:MOST_REFITTED]}
+    hopeful = sorted(hopeful, key=lambda c: -c.promised)[:MOST_REFITTED]
+    chosen = {c.name for c in hopeful if c.promised - fit.total > FOLLOWED * (hopeful[0].promised - fit.total)}
     tried = [pursue(c, quiet, bench.left_by) if c.name in chosen else c for c in tried]
     return tried, _null(stage.problem, lens, fit, tried)
 
@@ -115,15 +129,38 @@ def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) ->
     return largest_gain({c.name: c.banks for c in reached}, rest, fit.weight)
 
 
-def extend(stage: Stage, bench: Bench, best: Candidate) -> Stage:
-    """Return the servo with an effect added, its noise settled."""
+def extend(stage: Stage, bench: Bench, best: Candidate, level: float) -> Stage:
+    """Return the servo with an effect added, its noise settled; `level` is the gain that chance gives [nats]."""
     assert best.fit is not None
     rigid = stage.servo.rigid and best.name not in ELASTIC
     servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
     problem = bench.left_by(best.fit)
     fit = bench.settled(scanned(resume(problem, best.fit, LONG), bench.left_by, servo.effects))
     problem = bench.left_by(fit)
-    return Stage(servo, problem, resume(problem, fit))
+    return bent(Stage(servo, problem, resume(problem, fit)), bench, best.name, level)
+
+
+def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
+    """Return the servo with the form of an effect fitted too, if that gains far more than chance gives (`level`).
+
+    What is wrong with the form of an effect hides others, and where contacts meet at other moments it hides everything.
+    """
+    form = find_effect(name).form
+    if form is None:
+        return stage
+    short, several = form
+    [more] = freedom(name, {short: several[0]}, stage.servo.limits)
+    servo, old = replace(stage.servo, free=(*stage.servo.free, more)), stage.fit
+    ends = []
+    for start in several:
+        begun = evaluate(stage.problem, old.simulator, servo.free, {**old.values, more.name: start}, old.starts)
+        ends.append(rescored(stage.problem, scanned(resume(stage.problem, begun, LONG), bench.left_by, servo.effects)))
+    fit = bench.settled(max(ends, key=lambda end: end.total))
+    problem = bench.left_by(fit)
+    fit = resume(problem, fit)
+    if more.stuck(fit.values[more.name]) or fit.total < rescored(problem, old).total + SURE * level:
+        return stage
+    return Stage(servo, problem, fit)
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage, gain: float, level: float) -> tuple[Stage, list[str]]:
@@ -228,9 +265,10 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
             rounds[-1] = replace(verdict, decision=why)
             break
         rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
-        stage = extend(stage, bench, verdict.best)
+        level = verdict.null.level(verdict.best.name)
+        stage = extend(stage, bench, verdict.best, level)
         taken.add(verdict.best.name)
-        stage, spared = pruned(stage, bench, base, verdict.gain, verdict.null.level(verdict.best.name))
+        stage, spared = pruned(stage, bench, base, verdict.gain, level)
         if spared:
             text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
             rounds[-1] = replace(rounds[-1], decision=text)

@@ -44,7 +44,8 @@ def arranged(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[s
         for need in line.needs:
             users[need].add(line.name)
     known = {line.name for line in lines}
-    done, out, left = {need for line in lines for need in line.needs} - known, [], list(lines)
+    done, left = {need for line in lines for need in line.needs} - known, list(lines)
+    out: list[Line | Branch] = []
     while left:
         plain = _ready(left, done, [line.name for line in left if line.name not in guards])
         if plain:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import Any
@@ -51,7 +52,7 @@ def _code() -> str:
     """Return the hash of everything that turns equations into C."""
     package = files("bristle.model")
     texts = [path.read_text(encoding="utf-8") for folder in (package, package / "c") for path in _sources(folder)]
-    return digest(ca.__version__, *texts)
+    return digest(version("casadi"), *texts)
 
 
 def _sources(folder: Traversable) -> list[Traversable]:

@@ -119,6 +119,9 @@ class Effect:
         True if it only acts beyond a limit, so that it may show in a few stretches of a record.
     rugged : bool
         True if it switches, so that a fit along derivatives ends at one of many small maxima.
+    form : (str, tuple of float)
+        Short name of a parameter that bends its form and does nothing at its default: a fit frees it last, from each of
+        these values.
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
     states, rates : tuple of State, function
@@ -159,6 +162,7 @@ class Effect:
     local: bool = False
     rugged: bool = False
     load_side: bool = False
+    form: tuple[str, tuple[float, ...]] | None = None
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None
     sampled: tuple[State, ...] = ()

@@ -9,16 +9,20 @@ import casadi as ca
 from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Coupling, Effect, Evidence
 
+DEPTH = 1e-3  # rad: deformation of the contact at which its torque does not depend on the exponent
+FLAT = 1e-9  # of it: less has no logarithm
+
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
-    """T = k e (1 + lambda e'), e = twist beyond half the play; a contact never pulls.
+    """T = k e (|e|/e0)^(n-1) (1 + lambda e'), e = twist beyond half the play; a contact never pulls.
 
     The damping grows with the deformation, so that the torque has no jump at contact. Sides as for compliance.
-    Source: nordin2002 (dead-zone model of backlash); hunt1975 (contact damping).
+    Source: nordin2002 (dead-zone model of backlash); hunt1975 (contact damping; n = 1.5 where spheres touch).
     """
     half = c.p.play / 2
     press = twist - ca.fmin(ca.fmax(twist, -half), half)
-    return Coupling(c.p.share, c.p.stiffness * press * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)))
+    bent = ca.exp((c.p.exponent - 1) * ca.log(ca.fmax(ca.fabs(press) / DEPTH, FLAT)))
+    return Coupling(c.p.share, c.p.stiffness * press * bent * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)))
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
@@ -37,7 +41,7 @@ EFFECT = Effect(
     "a load behind a coupling with play",
     "nordin2002",
     group="backlash",
-    equation="T = k e (1 + lambda e'), e = dz(theta - theta_load, b/2), J_load = r J",
+    equation="T = k e (|e|/e0)^(n-1) (1 + lambda e'), e = dz(theta - theta_load, b/2), e0 = 1 mrad, J_load = r J",
     residual=("history",),
     rugged=True,
     excitation="reversals",
@@ -47,7 +51,9 @@ EFFECT = Effect(
         Parameter("backlash.play", "b", "rad", 0.02, 0.0, 10.0, "free play of the coupling", "nordin2002"),
         Parameter("backlash.stiffness", "k", "N.m/rad", 20.0, 1e-6, 1e9, "stiffness of the contact", "nordin2002"),
         Parameter("backlash.dissipation", "lambda", "s/rad", 1.0, 0.0, 1e6, "damping over elastic torque and rate", "hunt1975"),
+        Parameter("backlash.exponent", "n", "1", 1.0, 1.0, 3.0, "of the torque over the deformation of the contact", "hunt1975"),
     ),
+    form=("exponent", (1.5, 2.0)),
     coupling=coupling,
     starts=starts,
 )

@@ -61,14 +61,17 @@ def model() -> Model:
 
 @pytest.fixture(scope="session")
 def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Return what simulates 12 s of a servo with an effect: time, torque, position in counts, velocity."""
+    """Return what simulates 12 s of a servo with an effect: time, torque, position in counts, velocity.
+
+    Parameters of the effect that are `given` take the place of those in `STRONG`.
+    """
     systems = [servo(law("coulomb"), True, [effect(name)]) for name in effects()]
     for system, name in zip(systems, effects(), strict=True):
         system.name = name
     program = Program("Every_diagnosed", systems, "case")
 
     def run(name: str = "bias", seed: int = 1, **given: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        values = {"torque": 0.0} if given.get("plain") else STRONG[name]
+        values = {"torque": 0.0} if given.pop("plain", None) else STRONG[name] | given
         setting = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "u_max": 1e6}
         native = Native(program, setting | {f"{name}.{key}": value for key, value in values.items()}, name)
         rng = np.random.default_rng(seed)

@@ -73,3 +73,4 @@ def test_a_gain_is_numerical_if_it_vanishes_with_finer_steps() -> None:
     assert not numerical(100.0, 130.0, 50.0)  # finer steps show even more
     assert not numerical(100.0, 85.0, 50.0)
     assert numerical(100.0, -300.0, 1.0)
+    assert numerical(100.0, 45.0, 1.0)  # far above chance still, but most of it was in the numbers

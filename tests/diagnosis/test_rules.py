@@ -8,15 +8,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.diagnosis import intervals
-from bristle.diagnosis.bench import HELD
+from bristle.diagnosis import intervals, records_from_arrays
+from bristle.diagnosis.bench import HELD, settle
 from bristle.diagnosis.candidates import Candidate, beside, standing
+from bristle.diagnosis.candidates import Test as Worth
 from bristle.diagnosis.fit import Free
-from bristle.diagnosis.judge import Verdict, beyond_doubt
+from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt
 from bristle.diagnosis.null import Null
-from bristle.diagnosis.search import mends_form, worth_adding
+from bristle.diagnosis.prepare import base_of, bench_of
+from bristle.diagnosis.search import extend, look, mends_form, worth_adding
 from bristle.diagnosis.size import acting_fall, fall
 from bristle.diagnosis.views import FLIPS, line_p
+from bristle.plant.effects import effect
 
 LEVEL = 20.0
 
@@ -133,3 +136,55 @@ def test_bristles_also_begin_as_those_of_the_model(case):
     assert list(standing(base.servo, "presliding", base.fit)[0]) == ["stiffness"]
     assert standing(base.servo, "cogging", base.fit) == []
     assert standing(replace(base.servo, rigid=False), "bristle_damping", base.fit) == []
+
+
+def fitted(name, size, each, n=100):
+    """Return a candidate of so many parameters that gains so many nats in each of its segments, more or less."""
+    score = each + 0.5 * np.resize([1.0, -1.0], n)
+    fit = SimpleNamespace(score=score, weight=np.ones(n), free=[None] * size, total=float(score.sum()))
+    return Candidate(name, fit)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "falls", "spared"),
+    [
+        (0.02, (2.0, 3.0), True),  # 2 nats for one parameter more: chance
+        (0.05, (2.96, 3.0), True),  # 5 nats, as good as nothing in the error, and hardly to be told apart
+        (0.05, (2.5, 3.0), False),
+        (0.30, (2.96, 3.0), False),  # 30 nats are told apart
+    ],
+)
+def test_of_two_effects_that_lower_the_error_alike_the_plainer_one_is_named(ahead, falls, spared):
+    """A step soon after the start is nearly a constant torque, and can be moved to where it gains a few nats more."""
+    plain, rich = fitted("bias", 5, 1.0), fitted("disturbance_step", 6, 1.0 + ahead)
+    rich.fit.score[:50] += 0.4  # where the step is not yet: what the difference is uncertain by
+    rich.fit.score[50:] -= 0.4
+    worth = {c.name: Worth(f, 10.0, True, True) for c, f in ((plain, falls[0]), (rich, falls[1]))}
+    assert _spares(plain, rich, worth) is spared
+    assert not _spares(rich, plain, worth)
+
+
+@pytest.mark.parametrize(("name", "short", "value"), [("compliance", "hardening", 3000.0), ("backlash", "exponent", 1.5)])
+def test_the_form_of_a_coupling_is_fitted_once_it_is_named(case, measured, name, short, value):
+    """And only where the records call for it; what is left then is what the right form leaves."""
+    plain, n = case(name), round(8.0 / 1e-3)
+    ends = {}
+    for form in (None, value):
+        runs = [measured(name, seed, **({} if form is None else {short: form}))[:3] for seed in (1, 2)]
+        records = records_from_arrays(plain.model, [(f"run {k}", *(x[:n] for x in run)) for k, run in enumerate(runs)])
+        bench = bench_of(plain.model, records)
+        base = settle(bench, *base_of(plain.model, bench))
+        verdict = look(bench, base, [name], lambda text, share: None)
+        ends[form] = extend(base, bench, verdict.candidates[0], verdict.null.level(name)).fit
+    key = f"{name}.{short}"
+    assert key not in [f.name for f in ends[None].free]
+    assert ends[value].values[key] == pytest.approx(value, rel=0.25)
+
+
+@pytest.mark.parametrize(("exponent", "moves"), [(1.0, False), (1.5, True)])
+def test_a_coupling_that_the_model_has_keeps_its_usual_form(case, exponent, moves):
+    made = case("backlash")
+    given = {p.name.removeprefix("backlash."): p.default for p in effect("backlash").parameters} | {"exponent": exponent}
+    servo, _ = base_of(replace(made.model, effects={"backlash": given}), made.bench)
+    assert ("backlash.exponent" in [f.name for f in servo.free]) is moves
+    assert "backlash.play" in [f.name for f in servo.free]

@@ -334,6 +334,32 @@ VISCOUS = {  # name: (parameters, states, rates)
 }  # fmt: skip
 
 
+FORMS = [  # name, parameters with the one that bends the form, torque of the coupling
+    (
+        "compliance", {"compliance.stiffness": 2.0, "compliance.damping": 0.003, "compliance.hardening": 1500.0},
+        lambda twist, rate: 2.0 * twist + 3000.0 * twist**3 + 0.003 * rate,
+    ),
+    (
+        "backlash",
+        {"backlash.play": 0.04, "backlash.stiffness": 0.4, "backlash.dissipation": 2.0, "backlash.exponent": 1.5},
+        lambda twist, rate: (
+            0.4 / math.sqrt(1e-3) * math.copysign(abs(play(twist, 0.02)) ** 1.5, twist)
+            * max(0.0, 1.0 + 2.0 * math.copysign(rate, rate * twist))
+        ),
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "parameters", "torque"), FORMS, ids=[name for name, *_ in FORMS])
+def test_the_form_of_a_coupling_follows_the_equation(name, parameters, torque):
+    usual = {key: value for key, value in parameters.items() if key != f"{name}.{effect(name).form[0]}"}
+    record, straight = (Native(every("viscous"), p, name).run(H, {"u": levels()}, ["theta", "v"])[0] for p in (parameters, usual))
+    expected = solve(two(torque), 4)[:, :2]
+    size = np.ptp(expected, axis=0)
+    assert np.all(np.abs(record - expected) <= 1e-5 * size)
+    assert np.max(np.abs(straight - expected) / size) > 1e-2  # the form matters here
+
+
 @pytest.mark.parametrize("name", list(VISCOUS))
 def test_motion_without_dry_friction_follows_the_equation(name):
     parameters, n, rates = VISCOUS[name]
