@@ -29,6 +29,7 @@ BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
 HELD = 4  # every fourth segment is kept from the search
+EVEN = 6.0  # nats between two ends of a fit that the records hardly tell apart
 
 
 @dataclass(frozen=True)
@@ -145,12 +146,20 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
 
 
 def settle_well(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
-    """Fit a servo and its noise from given values and, if that ends far off, from what balances the torques."""
+    """Fit a servo and its noise from given values and, if that ends far off, from what balances the torques.
+
+    Of ends that the records hardly tell apart, one with fewer parameters at their bounds is the model that is known.
+    """
     first = settle(bench, servo, values)
     if not bench.far(first.fit):
         return first
-    others = [settle(bench, servo, {**values, **found}) for found in bench.joint(first).models]
-    return max((first, *others), key=lambda stage: stage.fit.total)
+    ends = [first, *(settle(bench, servo, {**values, **found}) for found in bench.joint(first).models)]
+    most = max(stage.fit.total for stage in ends)
+    return min((s for s in ends if s.fit.total > most - EVEN), key=lambda s: (_at_bounds(s), -s.fit.total))
+
+
+def _at_bounds(stage: Stage) -> int:
+    return sum(f.stuck(stage.fit.values[f.name]) for f in stage.servo.free)
 
 
 def lens_of(stage: Stage, bench: Bench) -> Lens:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.signal import lfilter
 
 from bristle.diagnosis import Model, Record, bench, records_from_arrays
 from bristle.diagnosis.candidates import freedom
-from bristle.diagnosis.fit import Fit, refit
+from bristle.diagnosis.fit import Fit, Free, refit
 from bristle.diagnosis.prepare import base_of, bench_of
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
@@ -75,3 +76,19 @@ def test_where_it_has_settled_nothing_moves_any_more(asymmetric: tuple[bench.Ben
     end = own.settled(first)
     again = own.settled(end)
     assert again.total == pytest.approx(end.total, abs=2.0)
+
+
+@pytest.mark.parametrize(("gains", "chosen"), [((0.0, 3.0), 0), ((0.0, 9.0), 1), ((3.0, 0.0), 0)])
+def test_of_two_ends_alike_the_one_inside_its_bounds_is_taken(
+    gains: tuple[float, float], chosen: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A light motor turned slowly ended 0.3 nats higher without dry friction, at two bounds: on one machine, not on another."""
+    free = (Free("J", 1e-4, 1e-2), Free("coulomb.Fc", 0.0, 0.6))
+    ends = [
+        SimpleNamespace(servo=SimpleNamespace(free=free), fit=SimpleNamespace(total=100.0 + gain, values=values))
+        for gain, values in zip(gains, ({"J": 1e-3, "coulomb.Fc": 0.1}, {"J": 1e-2, "coulomb.Fc": 0.0}), strict=True)
+    ]
+    several = iter(ends)
+    monkeypatch.setattr(bench, "settle", lambda *_: next(several))
+    stand: Any = SimpleNamespace(far=lambda fit: True, joint=lambda stage: SimpleNamespace(models=[{}]))
+    assert bench.settle_well(stand, ends[0].servo, {}) is ends[chosen]
