@@ -21,7 +21,7 @@ from bristle.model.rosenbrock import rodas
 from bristle.model.switching import at_the_point
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
 from bristle.model.units import per_second
-from bristle.model.variables import Parameter, Variable
+from bristle.model.variables import Parameter, State, Variable
 
 SX = ca.SX
 
@@ -83,6 +83,11 @@ def _solved(values: SX, unknowns: Sequence[Unknown]) -> SX:
     for unknown in reversed(unknowns):
         [values] = ca.substitute([values], [unknown.symbol], [unknown.solution])
     return values
+
+
+def _carried(system: System) -> dict[str, State]:
+    """Return all that a system carries from one step to the next."""
+    return {**system.states, **system.before, **system.after, **system.modes}
 
 
 def _own(system: System, name: str) -> str:
@@ -174,6 +179,9 @@ class Program:
         shared = name in system.parameters or name in system.inputs
         return self.index[name if shared else _own(system, name)]
 
+    def _places(self, system: System, names: Iterable[str]) -> tuple[int, ...]:
+        return tuple(self.place(system, name) for name in names)
+
     # -- kernels -----------------------------------------------------------------------------------------------------
 
     def _kernel(
@@ -189,9 +197,6 @@ class Program:
         return Kernel(f"{system.name}_{name}", tuple(made), reads, to_output)
 
     def _variant(self, system: System) -> Variant:
-        def slot(names: Iterable[str]) -> tuple[int, ...]:
-            return tuple(self.place(system, name) for name in names)
-
         def parameter(declared: Parameter) -> int:
             return self.index[declared.name] if declared.name in system.parameters else -1
 
@@ -201,9 +206,9 @@ class Program:
         return Variant(
             system,
             partial(self._kernels, system),
-            states=slot(system.states),
+            states=self._places(system, system.states),
             ders=tuple(self.index[f"der({_own(system, n)})"] for n in system.states) if system.smooth else (),
-            finite=slot({**system.states, **system.before, **system.after, **system.modes}),
+            finite=self._places(system, _carried(system)),
             sample_time=parameter(SAMPLE_TIME) if system.before or system.after else -1,
             max_step=parameter(MAX_STEP),
             max_steps=parameter(MAX_STEPS),
@@ -217,15 +222,14 @@ class Program:
             kernels[name] = self._kernel(system, name, blocks, h, to_output)
 
         def values(pairs: dict[str, SX]) -> tuple[Any, tuple[int, ...]]:
-            return ca.vertcat(*pairs.values()), tuple(self.place(system, name) for name in pairs)
+            return ca.vertcat(*pairs.values()), self._places(system, pairs)
 
         def public(pairs: dict[str, tuple[Variable, SX]]) -> list[tuple[Any, tuple[int, ...]]]:
             places = tuple(self.index[name] for name in pairs)
             return [(ca.vertcat(*(expression for _, expression in pairs.values())), places)] if pairs else []
 
         add("derive", [*(values(block) for block in system.constants), *public(system.calculated)])
-        group = {**system.states, **system.before, **system.after, **system.modes}
-        add("start", [values({name: SX(state.initial) for name, state in group.items()})])
+        add("start", [values({name: SX(state.initial) for name, state in _carried(system).items()})])
         add("outputs", public(system.outputs))
         for name, sampled in (("before", system.before), ("after", system.after), ("modes", system.modes)):
             add(name, [values({n: system.updates[n] for n in sampled})] if sampled else [])
