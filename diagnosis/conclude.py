@@ -184,8 +184,7 @@ def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer
         q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(r).max(), 1e-300)]
         floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
     alone = float(np.mean(floor)) / bench.segments.bins
-    unit = model.output_unit
-    return answer.Gap(before, after, min(alone, after), f"({unit})2")
+    return answer.Gap(before, after, min(alone, after), model.output_unit)
 
 
 def fell_between(bench: Bench, base: Stage, final: Stage) -> float:
@@ -197,10 +196,10 @@ def _round(v: Verdict) -> answer.Round:
     """Return a round as it is reported."""
     bars = []
     for c in v.candidates:
-        gain = c.fit.total - v.base if c.fit else 0.0
+        gain = c.fit.total - v.base if c.fit else math.nan
         tested = () if c.test is None else (c.test.fall, c.test.kept, *c.test.behind)
         bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused, *tested))
-    bars.sort(key=lambda bar: -bar.gain)
+    bars.sort(key=lambda bar: math.inf if math.isnan(bar.gain) else -bar.gain)
     added = v.best.name if v.best and v.named else None
     top = v.best.name if v.best else bars[0].name if bars else ""
     return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size, v.finer)

@@ -69,8 +69,8 @@ class Rig:
         model = diagnosis.model
         if model is not None:
             return cls(bool(model.linear), model.input_kind, model.output_kind)
-        unit = diagnosis.gap.unit
-        linear = not unit.strip("(").startswith("rad")
+        unit = diagnosis.gap.output_unit
+        linear = not unit.startswith("rad")
         return cls(linear, "force" if linear else "torque", "velocity" if "/s" in unit else "position")
 
     @property
@@ -324,11 +324,10 @@ def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
     for row, candidate in enumerate(drawn):
         ax.barh(row, candidate.level, color=GREY, alpha=0.25, height=0.98, linewidth=0)
         ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
-        gain = max(candidate.gain, 0.0) if math.isfinite(candidate.gain) else 0.0
+        tried = math.isfinite(candidate.gain)
+        gain = max(candidate.gain, 0.0) if tried else 0.0
         ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
-        gained = f"{candidate.gain:.0f}" if abs(candidate.gain) >= 100 else f"{candidate.gain:.3g}"
-        if candidate.note and not candidate.gain:
-            gained = "not tried"
+        gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
         note = f"  ({textwrap.shorten(candidate.note, NOTE, placeholder=' …')})" if candidate.note else ""
         text = f"{candidate.name}  {gained}{note}"
         ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)

@@ -301,7 +301,7 @@ def _refused(
     )
     return answer.Diagnosis(
         verdict="not_identifiable", statement=(why,), effects=(), ties=(), experiment="", where=(),
-        remains=answer.Remains(False, None, 0.0), gap=answer.Gap(left, left, None, f"({like.output_unit})2"),
+        remains=answer.Remains(False, None, 0.0), gap=answer.Gap(left, left, None, like.output_unit),
         excitation=excitation(like, records), findings=(*lines, *(f for r in records for f in r.findings)), base={},
         parameters={}, rounds=(), undetected={}, traces=(), model=like, seconds=seconds,
     )  # fmt: skip

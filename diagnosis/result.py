@@ -36,9 +36,9 @@ class Named:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, why it was dropped if so.
+    """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, a note.
 
-    Of those above chance: `size`, the factor by which the mean squared error falls; `kept`, the gain on segments kept
+    An effect that could not be tried has no gain (NaN, null in diagnosis.json), and the note says why. Of those above chance: `size`, the factor by which the mean squared error falls; `kept`, the gain on segments kept
     from the search [nats]; `behind`, by how much the best one is likelier, and `doubt`, the standard error of that [nats].
     """
 
@@ -97,12 +97,17 @@ class Remains:
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean squared output error over held-out segments [unit of the output, squared]; see the contract."""
+    """Mean squared output error over held-out segments [`unit`]; `output_unit` is that of the output. See the contract."""
 
     before: float
     after: float
     noise_floor: float | None
-    unit: str
+    output_unit: str
+
+    @property
+    def unit(self) -> str:
+        """Unit of the output, squared."""
+        return f"({self.output_unit})2" if "/" in self.output_unit else f"{self.output_unit}2"
 
     @property
     def ratio(self) -> float | None:

@@ -128,18 +128,17 @@ def statement(
         why = "too many effects explain it alike" if ties else "the motion is too uniform to tell what"
         lines.append(f"Something is missing, but {why}: these records do not name it.")
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
-    unit = gap.unit.removesuffix(")2").removeprefix("(")
     most = "at most " if remains.flag else ""  # what is unexplained looks like noise
-    alone = f"disturbance and sensor alone give {most}{rms[2]:.3g} {unit}"
+    alone = f"disturbance and sensor alone give {most}{rms[2]:.3g} {gap.output_unit}"
     if rms[2] >= rms[1]:
         alone = "disturbance and sensor alone give " + ("less, but how much less is not known" if remains.flag else "as much")
     if effects:
-        fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {unit}; {alone}"
+        fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {gap.output_unit}; {alone}"
         if rms[1] >= rms[0]:
-            fallen = f"does not fall ({rms[0]:.3g} {unit} before, {rms[1]:.3g} {unit} after): {STRAYS}"
+            fallen = f"does not fall ({rms[0]:.3g} {gap.output_unit} before, {rms[1]:.3g} {gap.output_unit} after): {STRAYS}"
         lines.append(f"On stretches kept from the search the rms error of the output {fallen}.")
     else:
-        lines.append(f"The rms error of the output is {rms[0]:.3g} {unit} with refitted parameters; {alone}.")
+        lines.append(f"The rms error of the output is {rms[0]:.3g} {gap.output_unit} with refitted parameters; {alone}.")
     if remains.flag:
         where = view_name(remains.view or "")
         lines.append(f"Something remains that none of the effects explains: {remains.share:.0%} of the residual follows {where}.")

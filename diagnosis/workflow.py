@@ -79,7 +79,7 @@ def mend_first(
     end = "" if proposed.endswith("?") else "."
     return answer.Diagnosis(
         verdict="not_identifiable", statement=(f"{why}{proposed}{end}",), effects=(), ties=(), experiment="",
-        where=(), remains=answer.Remains(False, None, 0.0), gap=answer.Gap(gap, gap, None, f"({model.output_unit})2"),
+        where=(), remains=answer.Remains(False, None, 0.0), gap=answer.Gap(gap, gap, None, model.output_unit),
         excitation=excitation(model, records), findings=(*lines, *(f for r in records for f in r.findings), *said.findings),
         base={}, parameters={}, rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=seconds,
     )  # fmt: skip

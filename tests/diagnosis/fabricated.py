@@ -146,7 +146,7 @@ def named() -> Diagnosis:
         ties=(), experiment="A slow pass over several turns would fix the second harmonic.",
         where=(position_view(0.06, 0.61), velocity_view(0.05)),
         remains=Remains(False, None, 0.03),
-        gap=Gap(8.2e-6, 1.1e-7, 9.4e-8, "rad2"),
+        gap=Gap(8.2e-6, 1.1e-7, 9.4e-8, "rad"),
         excitation=EXCITATION,
         findings=("run_2.csv: 3 samples were missing at 4.21 s; the segments around them are left out.",),
         base={"J": estimate(0.0103, "kg.m2"), "a2": estimate(0.031, "N.m.s/rad", 12), "coulomb.Fc": estimate(0.127, "N.m")},
@@ -174,7 +174,7 @@ def tie() -> Diagnosis:
         experiment="Add a rest phase of 2 s with a slowly rising input in both directions: a bias moves the two thresholds alike, "
         "asymmetric friction moves them apart.",
         where=(View("direction", 0.34, 0.001, 0.01, 0.5), velocity_view(0.22)),
-        gap=Gap(1.9e-6, 1.2e-7, 1.0e-7, "rad2"),
+        gap=Gap(1.9e-6, 1.2e-7, 1.0e-7, "rad"),
         rounds=(Round(candidates, 9.5, 0.001, None, "bias and asymmetric_coulomb tie: 1 % between their gains"),),
         parameters={}, choices={
             "bias": {"torque": estimate(0.02, "N.m", 2)}, "asymmetric_coulomb": {"share": estimate(0.165, "1", 3)},
@@ -192,7 +192,7 @@ def none() -> Diagnosis:
     return replace(
         named(), verdict="none",
         statement=("No effect of the 22 explains the difference.", "Something remains: it follows time, not the motion."),
-        effects=(), where=(view,), remains=Remains(True, "t", 0.41), gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad2"),
+        effects=(), where=(view,), remains=Remains(True, "t", 0.41), gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad"),
         experiment="Record again with the fan and the neighbouring axis switched off.",
         rounds=(Round(candidates, 9.8, 0.31, None, "stopped: nothing above chance"),),
         parameters={}, findings=(), traces=(trace("run_1.csv", 1, lambda theta, t: float(0.04 * np.sin(12 * t)), explained=False),),
@@ -206,7 +206,7 @@ def not_identifiable() -> Diagnosis:
     return replace(
         named(), verdict="not_identifiable",
         statement=("The axis moved 3 mm at one speed: mass, viscous and dry friction cannot be told apart.",),
-        effects=(), where=(), remains=Remains(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m2"),
+        effects=(), where=(), remains=Remains(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m"),
         experiment="Move at three speeds or more, with reversals, over 50 mm.",
         base={
             "J": estimate(6.0, "kg.m2", at_bound=True), "a2": estimate(7.0, "N.m.s/rad", 80),
@@ -231,7 +231,7 @@ def proposals() -> Diagnosis:
             "run_1.csv, column u: the acceleration answers to −u (correlation −0.94); turn its sign, or that of theta.",
             "run_1.csv, column theta: speeds of 344 rad/s from 0.4 N.m; it looks like degrees: write unit = \"deg\".",
         ),
-        where=(), rounds=(), undetected={}, experiment="", gap=Gap(4.1, 4.1, None, "rad2"),
+        where=(), rounds=(), undetected={}, experiment="", gap=Gap(4.1, 4.1, None, "rad"),
     )  # fmt: skip
 
 

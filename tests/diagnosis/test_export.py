@@ -144,7 +144,7 @@ def test_what_a_fit_leaves_out_keeps_its_default(answer):
 
 
 def test_a_linear_axis_is_driven_by_its_force(answer, fabricated, tmp_path):
-    slow = replace(answer("none"), model=fabricated.linear_model(), gap=Gap(1e-9, 1e-9, None, "m2"), base={})
+    slow = replace(answer("none"), model=fabricated.linear_model(), gap=Gap(1e-9, 1e-9, None, "m"), base={})
     export.write(slow, tmp_path)
     found = starts(tmp_path / "augmented.fmu")
     assert (float(found["b"]), float(found["u_max"]), float(found["J"])) == (1.0, 1e6, 2.0)

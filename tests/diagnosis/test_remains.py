@@ -10,7 +10,7 @@ from bristle.diagnosis.result import Gap
 from bristle.diagnosis.views import STRETCHES, Share
 
 TURN = 2 * np.pi
-HALF = Gap(2.0, 1.0, 0.1, "(rad)2")  # an effect was named that left half of the error
+HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the error
 
 
 def said(share, *named, gap=HALF, turn=TURN, **values):
@@ -35,13 +35,13 @@ def test_what_is_left_is_measured_by_the_gap_there_was(share, flag):
 
 
 def test_what_is_left_of_a_gap_that_was_closed_is_small():
-    closed = Gap(2.0, 0.05, 0.05, "(rad)2")
+    closed = Gap(2.0, 0.05, 0.05, "rad")
     assert not said(Share("history", 0.5, 0.001), "gravity", gap=closed).flag
     assert said(Share("history", 0.5, 0.001), "gravity").flag
 
 
 def test_a_name_that_does_not_lower_the_error_elsewhere_is_not_the_whole_story():
-    vain = Gap(2.0, 2.1, 0.1, "(rad)2")
+    vain = Gap(2.0, 2.1, 0.1, "rad")
     assert said(Share("history", 0.1, 0.5), "gravity", gap=vain).flag
     assert not said(Share("history", 0.1, 0.5), "saturation", gap=vain).flag  # may show in none of those stretches
     assert not said(Share("history", 0.1, 0.5), gap=vain).flag

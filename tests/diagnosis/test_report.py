@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -92,12 +93,12 @@ def test_where_something_remains_the_gap_shrank_by_at_most_so_much(answer):
 
 def test_a_gap_that_did_not_shrink_is_not_said_to_fall(answer):
     named = answer("named")
-    worse = replace(named, gap=Gap(1.1e-6, 1.3e-6, 1.3e-6, "rad2"))
+    worse = replace(named, gap=Gap(1.1e-6, 1.3e-6, 1.3e-6, "rad"))
     text = text_of(page_of(worse))
     assert "the error did not fall" in text
     assert "shrank" not in text.split("Before and after")[0].split("The gap")[1]
     said = statement("named", named.effects, (), worse.gap, worse.remains, {})
-    assert any("does not fall (0.00105 rad2 before, 0.00114 rad2 after)" in line for line in said)
+    assert any("does not fall (0.00105 rad before, 0.00114 rad after)" in line for line in said)
     said = statement("named", named.effects, (), named.gap, named.remains, {})
     assert any("falls from 0.00286 to 0.000332" in line for line in said)
 
@@ -195,9 +196,14 @@ def test_bars_show_the_level_of_chance_and_the_best_first(answer):
     assert "hard_stop  41  (stiffness at its bound)" in texts
 
 
+@pytest.mark.parametrize(("output", "squared"), [("m", "m2"), ("rad/s", "(rad/s)2")])
+def test_the_unit_of_a_squared_error_is_read_in_one_way_only(output, squared):
+    assert Gap(1.0, 1.0, None, output).unit == squared
+
+
 def test_an_effect_that_was_not_tried_has_no_gain_and_a_short_reason(answer):
     named = answer("named")
-    refused = replace(named.rounds[0].candidates[-1], gain=0.0, note="effects 'backlash' and 'compliance' " + 9 * "a load ")
+    refused = replace(named.rounds[0].candidates[-1], gain=math.nan, note="effects 'backlash' and 'compliance' " + 9 * "a load ")
     rounds = (replace(named.rounds[0], candidates=(*named.rounds[0].candidates[:1], refused)),)
     [text] = [text for text in svg_texts(draw(replace(named, rounds=rounds))["candidates"]) if "not tried" in text]
     assert text.startswith(f"{refused.name}  not tried  (effects 'backlash'")
