@@ -29,7 +29,7 @@ BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
 HELD = 4  # every fourth segment is kept from the search
-EVEN = 6.0  # nats between two ends of a fit that the records hardly tell apart
+EVEN = 6.0  # nats between two fits that the records hardly tell apart
 
 
 @dataclass(frozen=True)

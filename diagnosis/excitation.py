@@ -169,10 +169,9 @@ def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:
         found.append("less than two turns: what repeats every turn may be taken for something else")
     band = numbers["input_bandwidth"]["value"]
     if band > 0.0:
-        lag = 1.0 / (2 * np.pi * band)
-        unseen = f"{lag / 5:.2g}"
-        if lag / 5 > numbers["sampling_period"]["value"]:
-            found.append(f"input bandwidth {band:.2g} Hz: a delay or an electrical pole below about {unseen} s cannot be seen")
+        alike = 1.0 / (5 * 2 * np.pi * band)  # a fifth of the shortest period's radian: their phases differ by a few thousandths
+        if alike > numbers["sampling_period"]["value"]:
+            found.append(f"input bandwidth {band:.2g} Hz: a delay and an electrical pole below about {alike:.2g} s look alike")
         if band < 5.0:
             found.append("input stays below 5 Hz: compliance cannot be seen; add a chirp")
     if numbers["speed_dominant_tone_share"] > LINE:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.bench import Bench, Stage
+from bristle.diagnosis.bench import EVEN, Bench, Stage
 from bristle.diagnosis.candidates import Candidate, Test, follow, scanned
 from bristle.diagnosis.fit import ROUGH, Fit, Problem, begun_well, refit, resume
 from bristle.diagnosis.null import Null
@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 CONTENDER = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
 SIZE = 1.2  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
-ODDS = 6.0  # nats between two candidates that keep them apart
 RIVAL = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
 DOUBTLESS, AGREED = 10.0, 6.0  # times the null's level and nats on segments kept from the search, two of them at least:
 # a gain beyond doubt, whatever a few segments make of the mean square (of 240 controls none gained 4.4 times the level, and
@@ -209,4 +208,4 @@ def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float, tests: 
     assert other.fit is not None
     if narrow and best.fit.total - other.fit.total < (1 - RIVAL) * gain:
         return True
-    return apart(best, other)[0] < ODDS and not _spares(best, other, tests)
+    return apart(best, other)[0] < EVEN and not _spares(best, other, tests)

@@ -211,7 +211,7 @@ def _model(table: ModelTable, where: Path | str) -> Model:
         raise mistake(where, "friction", table.friction, message)
     law, kind = known[table.friction], table.input.kind
     linear = _linear(table, where)
-    _check_columns(table, where, linear)
+    _check_columns(table, where)
     names = {p.name: p for p in (J, A2, *(() if kind in ("torque", "force") else (B,)), *law.parameters)}
     parameters = dict(_parameters(table, where, law, names, linear))
     _complete(parameters, names, where, kind)
@@ -265,7 +265,7 @@ def _linear(table: ModelTable, where: Path | str) -> bool:
     return linear
 
 
-def _check_columns(table: ModelTable, where: Path | str, linear: bool) -> None:
+def _check_columns(table: ModelTable, where: Path | str) -> None:
     for key, unit, scale, want in (
         ("time", table.time.unit, None, "s"),
         ("input", table.input.unit, table.input.scale, INPUT_UNITS[table.input.kind]),

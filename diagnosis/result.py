@@ -38,8 +38,9 @@ class Named:
 class Candidate:
     """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, a note.
 
-    An effect that could not be tried has no gain (NaN, null in diagnosis.json), and the note says why. Of those above chance: `size`, the factor by which the mean squared error falls; `kept`, the gain on segments kept
-    from the search [nats]; `behind`, by how much the best one is likelier, and `doubt`, the standard error of that [nats].
+    An effect that could not be tried has no gain (NaN, null in diagnosis.json), and the note says why.
+    Of those above chance: `size`, the factor by which the mean squared error falls; `kept`, the gain on segments kept from
+    the search [nats]; `behind`, by how much the best one is likelier, and `doubt`, the standard error of that [nats].
     """
 
     name: str

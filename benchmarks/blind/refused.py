@@ -1,10 +1,11 @@
-"""What other thresholds could have given: of the further effects that led a round and were refused, how many more would be right.
+"""What other thresholds could have given: where effects that were missed stood, and how many refused ones would be right.
 
     refused.py --out out/blind/HASH
 
 A refused effect has four figures: its gain over the level of chance, its gain over that of the first effect, the factor by
 which it lowers the mean squared error, and its gain on segments kept from the search. Every set of four least values is tried, with
-the answers known, so that no rule of this kind can do better than what the table says; benchmarks/results/refused.md holds it.
+the answers known, so that no rule of this kind can do better than what the table says. And no threshold finds what did not lead
+a round; benchmarks/results/refused.md holds both tables.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from score import Judged
 
 TARGET = Path(__file__).resolve().parents[1] / "results" / "refused.md"
 GROUPS = ("same", "other", "low", "faint", "pair")
+STANDS = ("not beyond chance", "behind another", "led and refused", "in a tie", "no round left", "named, one too many")
 
 
 def refused(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[float, ...]]]:
@@ -39,6 +42,32 @@ def refused(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[floa
         if leader is not None and leader["kept"] is not None:
             figures = last["gain"] / last["null_level"], last["gain"] / rounds[0]["gain"], last["size"], leader["kept"]
             yield class_of(leader["name"]) in judged.missed, figures
+
+
+def stood(judged: Judged) -> str:
+    """Return where the best of the missing effects stood in the last round: one of `STANDS`."""
+    missing, last = set(judged.missed), judged.result["rounds"][-1]
+    if not missing:
+        return "named, one too many"
+    if judged.tied & missing:
+        return "in a tie"
+    if last["added"]:
+        return "no round left"
+    found = [c for c in last["candidates"] if class_of(c["name"]) in missing and c["gain"] is not None]
+    if any(last["decision"].startswith(f"'{c['name']}'") for c in found):
+        return "led and refused"
+    return "behind another" if any(c["gain"] > c["level"] for c in found) else "not beyond chance"
+
+
+def standings(pairs: Iterable[tuple[Any, Any]]) -> dict[tuple[str, str], Counter[str]]:
+    """Count by (group, form) how many cases there are (key "") and where the missing effect of those not right stood."""
+    counts: dict[tuple[str, str], Counter[str]] = {}
+    for answer, result in pairs:
+        judged = Judged(answer, result)
+        if answer["group"] in GROUPS and result["verdict"] != "error":
+            count = counts.setdefault((answer["group"], answer["effects"][0]["form"]), Counter())
+            count.update(["", *([] if judged.right else [stood(judged)])])
+    return {key: counts[key] for key in sorted(counts, key=lambda key: (GROUPS.index(key[0]), key[1] == "other"))}
 
 
 def prices(missing: np.ndarray, figures: np.ndarray) -> dict[int, int]:
@@ -55,11 +84,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of a blind test that is diagnosed")
     out = parser.parse_args().out
-    missing, figures = (np.array(column) for column in zip(*refused(answered(out)), strict=True))
+    pairs = answered(out)
+    where = [
+        f"| {group}, {'own' if form == 'same' else 'other'} form | {count['']} | {' | '.join(str(count[s]) for s in STANDS)} |"
+        for (group, form), count in standings(pairs).items()
+    ]
+    missing, figures = (np.array(column) for column in zip(*refused(pairs), strict=True))
     rows = [f"| {right} | {wrong} |" for right, wrong in prices(missing, figures).items()]
-    text = f"""# Further effects that were refused
+    text = f"""# Effects that were missed, and further ones that were refused
 
-`python benchmarks/blind/refused.py --out out/blind/{out.name}`: {len(missing)} further effects led the last round of a record with
+`python benchmarks/blind/refused.py --out out/blind/{out.name}`. Where the missing effect of a case that is not
+right stood in the last round of the search; the own and the other form of a pair are those of both its effects:
+
+| group | n | {" | ".join(STANDS)} |
+|---|---|{"---|" * len(STANDS)}
+{chr(10).join(where)}
+
+{len(missing)} further effects led the last round of a record with
 one effect or two and were refused; {int(missing.sum())} of them were missing. The best that least values of gain over chance, gain
 over that of the first effect, size and kept gain could do, chosen with the answers known:
 

@@ -58,7 +58,8 @@ def table(runs: Sequence[Run]) -> list[str]:
     rows = ["| records | asked | said | right | rms error before | after | noise alone | s |", "|---|---|---|---|---|---|---|---|"]
     for run in runs:
         gap = run.found.gap
-        cells = [f"{x**0.5:.3g} {gap.output_unit}" if x is not None and x >= 0 else "–" for x in (gap.before, gap.after, gap.noise_floor)]
+        squares = (gap.before, gap.after, gap.noise_floor)
+        cells = [f"{x**0.5:.3g} {gap.output_unit}" if x is not None and x >= 0 else "–" for x in squares]
         mark = "yes" if run.right else "no"
         rows.append(f"| {run.name} | {run.question} | {run.said} | {mark} | {' | '.join(cells)} | {run.found.seconds:.0f} |")
     return rows

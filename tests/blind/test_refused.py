@@ -1,9 +1,11 @@
-"""What thresholds could do is counted with the answers known: the least price of each number of right ones."""
+"""What thresholds could do is counted with the answers known: where the missing stood, and the least price of the right ones."""
 
 from __future__ import annotations
 
 import numpy as np
-from refused import prices, refused
+import pytest
+from refused import STANDS, prices, refused, standings, stood
+from score import Judged
 
 ALONE = ["gravity"]
 BOTH = ["gravity", "bias/asymmetric_coulomb"]
@@ -26,3 +28,32 @@ def test_what_was_refused_and_whether_it_was_missing() -> None:
     short, outside = result | {"rounds": [{"gain": 60.0}]}, {"group": "outside", "effects": []}
     pairs = [(both, result), (alone, result), (alone, short), (outside, result)]
     assert list(refused(pairs)) == [(True, (3.0, 0.5, 1.1, 4.0)), (False, (3.0, 0.5, 1.1, 4.0))]
+
+
+def case(classes, named, decision="'hard_stop' is certain but small", **more):
+    """Return a case of the given truth whose last round tried a stop (30 nats), a bias (20 nats) and no dead zone."""
+    answer = {"group": "pair", "effects": [{"class": c, "form": "other"} for c in classes]}
+    tried = [{"name": "hard_stop", "gain": 30.0, "level": 10.0}, {"name": "bias", "gain": 20.0, "level": 10.0}]
+    tried.append({"name": "dead_zone", "gain": None, "level": 10.0})
+    last = {"added": None, "decision": decision, "candidates": tried}
+    return answer, {"verdict": "named", "effects": [{"name": n} for n in named], "ties": [], "rounds": [last | more]}
+
+
+@pytest.mark.parametrize(
+    ("truth", "named", "more", "stand"),
+    [
+        (["gravity", "hard_stop"], ["gravity"], {}, "led and refused"),
+        (["gravity", "bias/asymmetric_coulomb"], ["gravity"], {}, "behind another"),
+        (["gravity", "dead_zone"], ["gravity"], {}, "not beyond chance"),
+        (["gravity", "hard_stop"], ["gravity"], {"added": "gravity"}, "no round left"),
+        (["gravity"], ["gravity", "hard_stop"], {"added": "hard_stop"}, "named, one too many"),
+    ],
+)
+def test_where_the_missing_effect_stood(truth, named, more, stand):
+    assert stood(Judged(*case(truth, named, **more))) == stand
+    assert stand in STANDS
+
+
+def test_those_not_right_are_counted_by_group_and_form():
+    right, wrong = case(["gravity"], ["gravity"]), case(["gravity", "hard_stop"], ["gravity"])
+    assert standings([right, wrong]) == {("pair", "other"): {"": 2, "led and refused": 1}}
