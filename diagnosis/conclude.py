@@ -15,10 +15,10 @@ from bristle.diagnosis.bench import Bench, Stage
 from bristle.diagnosis.candidates import scanned
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, resume
-from bristle.diagnosis.intake import Record
 from bristle.diagnosis.intervals import estimates
 from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.record import Record
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import group, views_of
 from bristle.diagnosis.size import errors, fall, mean_square, squares

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.signal import savgol_filter, welch
 
-from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.record import Record
 from bristle.model.table import Array
 
 SMOOTH = 0.02  # s: half-width of the parabola that gives the velocity

@@ -20,11 +20,11 @@ from bristle.diagnosis.bench import Bench, settle_well
 from bristle.diagnosis.candidates import Servo
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, refit
-from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import check
 from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap
+from bristle.diagnosis.record import Record
 from bristle.diagnosis.search import Tell
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.signal import butter, sosfiltfilt
 
-from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.record import Record
 from bristle.model.table import Array
 
 CUTOFF = 25.0  # Hz of the low-pass, where the sampling allows it: servo motion is slower, quantisation is not

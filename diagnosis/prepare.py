@@ -12,10 +12,10 @@ from bristle.diagnosis.bench import Bench, Stage, base_servo, settle_well
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Free, evaluate
-from bristle.diagnosis.intake import Record
 from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
+from bristle.diagnosis.record import Record
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
 from bristle.diagnosis.size import mean_square
 from bristle.diagnosis.views import ONCE

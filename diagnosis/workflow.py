@@ -13,10 +13,10 @@ from bristle.diagnosis import result as answer
 from bristle.diagnosis.bench import Bench, Stage, settle
 from bristle.diagnosis.conclude import conclude, fell_between, gap_between, views_beside
 from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.intake import Record
 from bristle.diagnosis.modelfile import REACH, Model, must_be_model
 from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
+from bristle.diagnosis.record import Record
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import Tell, search
 from bristle.diagnosis.size import mean_square

@@ -1,0 +1,149 @@
+"""What output and input show of sensor and drive: steps, spikes, wraps, a frozen reading, limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.record import Raw
+from bristle.diagnosis.steps import common_step
+
+SATURATED = 0.01  # a share of samples at an extreme value above this is a limit
+LIMITED = 10  # samples, at least
+CREST = 4.0  # and many times as long as on the values next to it
+LEVELS = 20  # an input of fewer values is switched, not limited
+STILL = 3.001  # steps of the resolution: less is no motion
+SPIKE = 8.0  # a spike steps this many times farther than its neighbours
+STUCK = 0.2  # s: an output that stands still so long while the input sweeps most of its range is worth a line
+
+
+def resolution_of(model: Model, raw: Raw) -> float | None:
+    """Return the step of the output, and compare it with the model's."""
+    found = common_step(raw.y)
+    if found is not None and found < 1e-7 * np.ptp(raw.y):
+        found = None  # printed digits, not steps of a sensor
+    if model.resolution is None:
+        return found
+    told = f"[output] resolution is {model.resolution:.4g} {model.output_unit}"
+    if found is None:
+        raw.say(f"{told}, but the output shows no such steps: was it filtered or interpolated?")
+    elif not 0.8 < found / model.resolution < 1.25:
+        raw.say(f"{told}, but the output comes in steps of {found:.4g} {model.output_unit}; correct the resolution or the unit")
+    return found
+
+
+def must_move(model: Model, raw: Raw, resolution: float | None) -> None:
+    """Refuse an output that stays within a few of its steps."""
+    span = float(np.ptp(raw.y))
+    if span <= STILL * (resolution or 0.0) or span <= 1e-12 * float(np.max(np.abs(raw.y))):
+        unit = model.output_unit
+        raise raw.error(
+            f"nothing moves: the output stays within {span:.3g} {unit}"
+            + (f", its resolution is {resolution:.3g} {unit}" if resolution else "")
+            + "; check [output] column, and give a record with motion"
+        )
+
+
+def mend_spikes(raw: Raw, resolution: float | None) -> None:
+    """Replace isolated samples that jump away and back; a servo cannot."""
+    d = np.diff(raw.y)
+    size = np.abs(d)
+    floor = max(6.0 * (resolution or 0.0), 1e-9 * float(np.max(np.abs(raw.y), initial=0.0)))
+    mended: list[int] = []
+    y = raw.y.copy()
+    before = np.max(np.lib.stride_tricks.sliding_window_view(size, 6), axis=1)[:-1]  # of the six steps before step 6, 7, ...
+    for k in (6 + np.flatnonzero((size[6:] > floor) & (size[6:] > SPIKE * before))).tolist():
+        for width in (1, 2, 3):
+            back = k + width
+            if back + 6 >= len(d) or (mended and mended[-1] > k - 6):
+                continue
+            around = max(float(before[k - 6]), float(np.max(size[back + 1 : back + 7])))
+            inside = float(np.max(size[k + 1 : back], initial=0.0))
+            returns = d[k] * d[back] < 0 and abs(d[k] + d[back]) < 0.25 * size[k]
+            if returns and size[back] > SPIKE * around and inside < 0.25 * size[k]:
+                y[k + 1 : back + 1] = np.interp(np.arange(k + 1, back + 1), [k, back + 1], raw.y[[k, back + 1]])
+                mended.append(k + 1)
+                break
+    if mended:
+        k = mended[0]
+        worst = max(float(size[i - 1]) for i in mended)
+        where = f"first at sample {k}, {raw.time[k]:.6g} s; up to {worst:.3g}"
+        raw.say(f"output jumps away and back at {len(mended)} places ({where}); interpolated over")
+        raw.y = y
+
+
+def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
+    """Unwrap a position that jumps by one and the same amount and never leaves a range of that size."""
+    d = np.diff(raw.y)
+    span = float(np.ptp(raw.y))
+    jumps = np.flatnonzero(np.abs(d) > 0.5 * span)
+    if not len(jumps) or span == 0.0:
+        return False
+    rest = np.abs(np.delete(d, jumps))
+    if np.max(rest, initial=0.0) > 0.25 * span:
+        return False
+    sizes = np.abs(d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)]))
+    full = 2.0 * np.pi
+    turn = float(np.median(sizes))
+    likely = [known for known in ((full, 360.0, 1.0) if not model.linear else ()) if abs(turn - known) < 0.02 * known]
+    if likely:
+        turn = likely[0]
+    elif resolution:
+        turn = resolution * round(turn / resolution)
+    if span > 1.02 * turn or np.max(np.abs(sizes - turn)) > 0.1 * turn:
+        return False
+    if len(jumps) < 2 and (model.linear or turn != full):
+        return False  # one jump of any size may be a slip; one of a turn is not
+    raw.y = raw.y + np.concatenate([[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))])
+    first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
+    if model.linear or turn == full:
+        raw.say(f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped")
+    else:
+        raw.say(
+            f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped, but a turn has {full:.4g} rad: "
+            f"check [output] unit ('{model.output.unit}') and scale"
+        )
+    return True
+
+
+def report_frozen(raw: Raw, resolution: float | None) -> None:
+    """Report an output that freezes in motion and then catches up, or stands still under a sweeping input."""
+    same = np.diff(raw.y) == 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    runs = edges.reshape(-1, 2)  # differences start..end-1 are zero
+    d = np.abs(np.diff(raw.y))
+    span = float(np.ptp(raw.u))
+    caught, still = [], []
+    for start, end in runs[runs[:, 1] - runs[:, 0] >= 5].tolist():
+        if start >= 4 and end + 4 < len(d):
+            speed = float(np.mean(d[start - 3 : start]))
+            leap = float(d[end])
+            after = float(np.max(d[end + 1 : end + 4]))
+            if speed > 3 * (resolution or 0.0) and leap > 0.5 * speed * (end - start) and leap > 2.5 * max(after, speed):
+                caught.append((start, end))
+                continue
+        if raw.time[end] - raw.time[start] >= STUCK and np.ptp(raw.u[start : end + 1]) > 0.8 * span > 0.0:
+            still.append((start, end))
+    for runs_found, what in (
+        (caught, "the output freezes in motion and then catches up: a lost reading; cut these parts"),
+        (still, "the output stands still while the input sweeps most of its range: a stop, a drive that is off, a stuck sensor?"),
+    ):
+        if runs_found:
+            start, end = runs_found[0]
+            where = f"{len(runs_found)} such parts, the first from {raw.time[start]:.6g} to {raw.time[end]:.6g} s"
+            raw.say(f"{what} ({where})")
+
+
+def report_limits(raw: Raw) -> None:
+    """Report an input that rests at its largest or smallest value."""
+    values, counts = np.unique(raw.u, return_counts=True)
+    if len(values) < LEVELS:
+        return
+    for which, value, count, beside in (
+        ("largest", values[-1], counts[-1], np.max(counts[-4:-1])),
+        ("smallest", values[0], counts[0], np.max(counts[1:4])),
+    ):
+        # the crest of a signal in steps also dwells on its last value, but not so much longer than on those before
+        if count > max(SATURATED * len(raw.u), LIMITED) and count > CREST * beside and value != 0.0:
+            line = f"input is at its {which} value {value:.6g} for {count / len(raw.u):.1%} of the time"
+            raw.say(f"{line}: a limit; what is logged must be behind it")
