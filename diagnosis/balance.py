@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.candidates import FINALISTS, RIGID, Servo, Start, dry_level, freedom, idle, starts
+from bristle.diagnosis.candidates import HASTY, RIGID, Servo, Start, dry_level, freedom, idle, starts
 from bristle.diagnosis.fit import ENOUGH, FREEDOM, Free, moved
 from bristle.diagnosis.lens import Motion
 from bristle.diagnosis.noise import Noise, response
@@ -283,7 +283,7 @@ class Joint:
                     values = {**defaults, **base.values, **{f"{name}.{k}": v for k, v in start.items()}}
                     trials.append((balance.fit(law, effects, free, values, FIRST), free, start))
                 trials.sort(key=lambda trial: -trial[0].total)
-                for best, free, start in trials[:FINALISTS]:
+                for best, free, start in trials[: HASTY.starts]:
                     _, best = self._settled(balance, effects, free, best)
                     found.append((best.total, (best.values, {key: best.values[f"{name}.{key}"] for key in start})))
         except (NotInstantError, BristleError):

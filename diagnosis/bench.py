@@ -29,6 +29,7 @@ BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
 HELD = 4  # every fourth segment is kept from the search
+ODD = 0.16  # weight of a segment, usually about 1, from which on a model misses it by far (of 60 controls 3 have one)
 EVEN = 6.0  # nats between two fits that the records hardly tell apart
 
 
@@ -117,6 +118,10 @@ class Bench:
     def far(self, fit: Fit) -> bool:
         """True if a model misses so much of the motion that steps from where it stands may lead nowhere."""
         return self.missed(fit) > FAR
+
+    def odd(self, fit: Fit) -> bool:
+        """True if a model misses some segment by far: something acts there."""
+        return bool(fit.weight[self.train].min() < ODD)
 
     def joint(self, stage: Stage) -> Joint:
         """Return where a model and an effect may start together."""

@@ -13,15 +13,23 @@ CERTAIN = 0.03  # p over all views, from which on a share is believed
 GAP, WAVE = 0.1, 0.05  # and of the error before, once an effect is named; a wave that repeats as the named one does
 SUREST, FAINT = 0.001, 0.05  # p that no draw reaches: where nothing is named, such a share is enough then (1 more control of 240
 # is flagged, 7 more of 240 records with an effect of no catalogue)
+SOME = 0.08  # share that is enough where nothing is named and some stretch is far off
 ALONE = 0.05  # p of a view by itself, where the named wave should have taken up what is there
 
 
 def remains(
-    after: Sequence[Share], values: Mapping[str, float], named: Sequence[str], gap: answer.Gap, turn: float, fell: float
+    after: Sequence[Share],
+    values: Mapping[str, float],
+    named: Sequence[str],
+    gap: answer.Gap,
+    turn: float,
+    fell: float,
+    odd: bool = False,
 ) -> answer.Remains:
     """Say whether something predictable is left that is neither small nor only the form of what was named.
 
-    `fell` is the factor by which the error fell on segments kept from the search, none of them counting for much.
+    `fell` is the factor by which the error fell on segments kept from the search, none of them counting for much;
+    with `odd` the model misses some stretch by far.
     What repeats as a multiple of a named wave is its form. What repeats as the wave itself, which was free to take it up,
     is something else, and evidence in that view alone is enough.
     """
@@ -40,7 +48,7 @@ def remains(
         if named:
             large = share.share >= LEFT and share.share * left >= (WAVE if same else GAP)
         else:
-            large = share.share >= (FAINT if share.p <= SUREST else LEFT)
+            large = share.share >= (FAINT if share.p <= SUREST else SOME if odd else LEFT)
         if large and not any(is_form(share.periods, wave) for wave in waves):
             return answer.Remains(True, share.view, share.share)
     first = (certain or after)[0]

@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from bristle.diagnosis.bench import LONG, Bench, Stage, lens_of
 from bristle.diagnosis.candidates import (
     ELASTIC,
+    HASTY,
+    PATIENT,
     RIGID,
     Candidate,
+    Effort,
     Start,
     advance,
     evidence,
@@ -23,7 +26,7 @@ from bristle.diagnosis.candidates import (
     scanned,
     starts,
 )
-from bristle.diagnosis.fit import Fit, Problem, evaluate, refit, rescored, resume
+from bristle.diagnosis.fit import Fit, Problem, evaluate, promise, refit, rescored, resume
 from bristle.diagnosis.judge import AGREED, CLEAR, DOUBTLESS, SIZE, Verdict, judged
 from bristle.diagnosis.lens import Lens
 from bristle.diagnosis.null import Null, largest_gain
@@ -46,6 +49,7 @@ PLAIN = 1.6  # a further effect lowers the error so, and shows anything on segme
 MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
 SURE, ASIDE = 5.0, 0.25  # or gains so many times the level and this share, and `AGREED` on segments kept from the search,
 MUCH, AGAIN = 1.5, 15.0  # or so, or gains this share, and gains so many nats on segments kept from the search
+ALIKE = "several effects explain it alike"
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
 
 
@@ -54,10 +58,16 @@ def group(name: str) -> str:
     return all_effects()[name].group
 
 
-def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> Verdict:
+def contact(name: str) -> bool:
+    """True for a coupling that switches: two runs of a loose load differ, and its likelihood has many small maxima."""
+    effect = find_effect(name)
+    return effect.rugged and effect.coupling is not None
+
+
+def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort: Effort = HASTY) -> Verdict:
     """Try the named effects on top of a fitted servo."""
     fit = stage.fit
-    tried, null = _tried(bench, stage, names, tell)
+    tried, null = _tried(bench, stage, names, tell, effort)
     reached = [c for c in tried if c.fit is not None]
     if not reached:
         return Verdict(tuple(tried), null, fit.total, None, 0.0, 1.0, (), "no effect can join this model")
@@ -68,7 +78,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> Verdic
     return judged(bench, stage, tried, beyond, null)
 
 
-def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tuple[list[Candidate], Null]:
+def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort: Effort) -> tuple[list[Candidate], Null]:
     """Return the named effects refitted as far as they are promising, and the null of the largest gain."""
     fit, lens, far = stage.fit, lens_of(stage, bench), bench.far(stage.fit)
     e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
@@ -77,17 +87,20 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell) -> tupl
     def quiet(left: Fit) -> Problem:
         return bench.left_by(left) if far and left.weight.any() else stage.problem
 
+    def followed(name: str, effort: Effort) -> Candidate:
+        if name in bench.barred:
+            return Candidate(name, None, refused=bench.barred[name])
+        begun = explore(stage.problem, stage.servo, name, fit, lens, e, quiet, together(name), far, effort)
+        return advance(begun, quiet, bench.left_by, fit.total, effort) if begun.fit else begun
+
     tried = []
     for i, name in enumerate(names):
         tell(name, i / max(len(names), 1))
-        barred = bench.barred.get(name, "")
-        tried.append(
-            Candidate(name, None, refused=barred) if barred
-            else explore(stage.problem, stage.servo, name, fit, lens, e, quiet, together(name), far)
-        )  # fmt: skip
+        tried.append(followed(name, effort))
     if not any(c.fit for c in tried):
         return tried, Null(np.zeros(1), {})
-    tried = [advance(c, quiet, bench.left_by, fit.total) if c.fit else c for c in tried]
+    if effort is HASTY and contact(max(tried, key=lambda c: c.promised).name):  # what rattles may be a shaft that hardens
+        tried = [followed(c.name, PATIENT) if c.fit and find_effect(c.name).coupling and not contact(c.name) else c for c in tried]
     null = _null(stage.problem, lens, fit, tried)
     hopeful = [c for c in tried if c.fit and c.promised - fit.total > HOPE * null.level(c.name)]
     if not hopeful:
@@ -129,15 +142,20 @@ def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) ->
     return largest_gain({c.name: c.banks for c in reached}, rest, fit.weight)
 
 
-def extend(stage: Stage, bench: Bench, best: Candidate, level: float) -> Stage:
-    """Return the servo with an effect added, its noise settled; `level` is the gain that chance gives [nats]."""
+def joined(stage: Stage, bench: Bench, best: Candidate) -> Stage:
+    """Return the servo with an effect added as it was fitted."""
     assert best.fit is not None
     rigid = stage.servo.rigid and best.name not in ELASTIC
     servo = replace(stage.servo, effects=(*stage.servo.effects, best.name), free=best.fit.free, rigid=rigid)
-    problem = bench.left_by(best.fit)
-    fit = bench.settled(scanned(resume(problem, best.fit, LONG), bench.left_by, servo.effects))
+    return Stage(servo, bench.left_by(best.fit), best.fit)
+
+
+def extend(stage: Stage, bench: Bench, best: Candidate, level: float) -> Stage:
+    """Return the servo with an effect added, its noise settled; `level` is the gain that chance gives [nats]."""
+    stage = joined(stage, bench, best)
+    fit = bench.settled(scanned(resume(stage.problem, stage.fit, LONG), bench.left_by, stage.servo.effects))
     problem = bench.left_by(fit)
-    return bent(Stage(servo, problem, resume(problem, fit)), bench, best.name, level)
+    return bent(replace(stage, problem=problem, fit=resume(problem, fit)), bench, best.name, level)
 
 
 def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
@@ -145,22 +163,27 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
 
     What is wrong with the form of an effect hides others, and where contacts meet at other moments it hides everything.
     """
-    form = find_effect(name).form
-    if form is None:
-        return stage
-    short, several = form
-    [more] = freedom(name, {short: several[0]}, stage.servo.limits)
-    servo, old = replace(stage.servo, free=(*stage.servo.free, more)), stage.fit
+    free = {f.name for f in stage.servo.free}
     ends = []
-    for start in several:
-        begun = evaluate(stage.problem, old.simulator, servo.free, {**old.values, more.name: start}, old.starts)
-        ends.append(rescored(stage.problem, scanned(resume(stage.problem, begun, LONG), bench.left_by, servo.effects)))
-    fit = bench.settled(max(ends, key=lambda end: end.total))
+    for start in find_effect(name).form:
+        more = [f for f in freedom(name, start, stage.servo.limits) if f.name not in free]
+        servo, old = replace(stage.servo, free=(*stage.servo.free, *more)), stage.fit
+        values = {**old.values, **{f"{name}.{short}": value for short, value in start.items()}}
+        begun = evaluate(stage.problem, old.simulator, servo.free, values, old.starts)
+        # a coupling shows what its form is worth only when all of it has moved
+        if more and (find_effect(name).coupling or begun.total + promise(stage.problem, begun) > old.total + level):
+            fit = scanned(resume(stage.problem, begun, LONG), bench.left_by, servo.effects)
+            ends.append(Stage(servo, stage.problem, rescored(stage.problem, fit)))
+    if not ends:
+        return stage
+    best = max(ends, key=lambda end: end.fit.total)
+    fit = bench.settled(best.fit)
     problem = bench.left_by(fit)
     fit = resume(problem, fit)
-    if more.stuck(fit.values[more.name]) or fit.total < rescored(problem, old).total + SURE * level:
+    bending = [f for f in best.servo.free if f.name not in free]
+    if any(f.stuck(fit.values[f.name]) for f in bending) or fit.total < rescored(problem, stage.fit).total + SURE * level:
         return stage
-    return Stage(servo, problem, fit)
+    return Stage(best.servo, problem, fit)
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage, gain: float, level: float) -> tuple[Stage, list[str]]:
@@ -238,6 +261,55 @@ def worth_adding(verdict: Verdict, first: float) -> bool:
     return (strong and (holds or (verdict.size >= MORE and verdict.kept > 0))) or (holds and verdict.size >= MUCH)
 
 
+def amiss(bench: Bench, stage: Stage) -> bool:
+    """True if a servo misses some stretch by far, and not because a contact rattles: that is worth patience."""
+    return bench.odd(stage.fit) and not any(contact(name) for name in stage.servo.effects)
+
+
+def considered(
+    bench: Bench, stage: Stage, names: Sequence[str], first: float | None, tell: Tell, effort: Effort
+) -> tuple[Verdict, str]:
+    """Look for a further effect, and return what was found and why it is not added, if it is not.
+
+    `first` is the gain of the first effect [nats], None where this would be the first.
+    """
+    verdict = look(bench, stage, names, tell, effort)
+    best = verdict.best
+    if best is None or verdict.decision:
+        return verdict, verdict.decision
+    if not (verdict.large and verdict.proven):
+        verdict = reconsidered(bench, stage, verdict)
+        best = verdict.best
+        assert best is not None
+    if not (verdict.large and verdict.proven):
+        small = "of no help on segments kept from the search" if verdict.large else "certain but small"
+        return replace(verdict, ties=()), f"'{best.name}' is {small}"
+    if first is not None and (mends_form(bench, stage, best) or not worth_adding(verdict, first)):
+        return replace(verdict, ties=()), f"'{best.name}' may only mend the form of what was added"
+    if any(group(name) != group(best.name) for name in verdict.ties):
+        return verdict, ALIKE
+    if verdict.finer is not None and numerical(verdict.gain, verdict.finer, verdict.null.level(best.name)):
+        return verdict, f"'{best.name}' is numerical: its gain vanishes with finer steps of the simulation"
+    return verdict, ""
+
+
+def reconsidered(bench: Bench, stage: Stage, verdict: Verdict) -> Verdict:
+    """Return what is found if the best candidate may take another form than its usual one; the same if that gains too little.
+
+    A form that is not quite right does good here and harm there.
+    """
+    best = verdict.best
+    assert best is not None
+    level = verdict.null.level(best.name)
+    begun = joined(stage, bench, best)
+    end = bent(begun, bench, best.name, level)
+    if end is begun:
+        return verdict
+    other = replace(best, fit=end.fit)
+    beyond = [other if c.name == best.name else c for c in verdict.candidates if c.test is not None]
+    return judged(bench, stage, [other if c.name == best.name else c for c in verdict.candidates], beyond, verdict.null)
+
+
 def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]:
     """Add effects one after the other as long as one is found that is certain and large enough."""
     stage, rounds = base, []
@@ -245,26 +317,13 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
     while True:
         classes = {group(name) for name in taken}
         names = [name for name in all_effects() if group(name) not in classes]
-        verdict = look(bench, stage, names, tell)
-        rounds.append(verdict)
-        if verdict.best is None:
+        first = rounds[0].gain if rounds else None
+        verdict, why = considered(bench, stage, names, first, tell, HASTY)
+        if why and why != ALIKE and verdict.candidates and amiss(bench, stage):
+            verdict, why = considered(bench, stage, names, first, tell, PATIENT)
+        rounds.append(replace(verdict, decision=why or f"'{verdict.best.name}' added", named=not why))
+        if why:
             break
-        if not (verdict.large and verdict.proven):
-            small = "of no help on segments kept from the search" if verdict.large else "certain but small"
-            rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' is {small}", ties=())
-            break
-        if stage is not base and (mends_form(bench, stage, verdict.best) or not worth_adding(verdict, rounds[0].gain)):
-            mends = f"'{verdict.best.name}' may only mend the form of what was added"
-            rounds[-1] = replace(verdict, decision=mends, ties=())
-            break
-        if any(group(name) != group(verdict.best.name) for name in verdict.ties):
-            rounds[-1] = replace(verdict, decision="several effects explain it alike")
-            break
-        if verdict.finer is not None and numerical(verdict.gain, verdict.finer, verdict.null.level(verdict.best.name)):
-            why = f"'{verdict.best.name}' is numerical: its gain vanishes with finer steps of the simulation"
-            rounds[-1] = replace(verdict, decision=why)
-            break
-        rounds[-1] = replace(verdict, decision=f"'{verdict.best.name}' added", named=True)
         level = verdict.null.level(verdict.best.name)
         stage = extend(stage, bench, verdict.best, level)
         taken.add(verdict.best.name)

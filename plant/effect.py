@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -86,6 +86,10 @@ class Evidence:
     regress: Callable[[Array], tuple[Array, float]]
     turn: float = 2 * np.pi
 
+    def coefficient(self, torque: Array) -> float:
+        """Return the coefficient of a torque (n,) [N.m] in what the model leaves."""
+        return float(self.regress(torque[:, None])[0][0])
+
     def waves(self, least: int, most: int) -> list[float]:
         """Return the numbers of periods [1/rad] of which so many fit into a turn."""
         return [2 * np.pi / self.turn * n for n in range(least, most + 1)]
@@ -119,8 +123,8 @@ class Effect:
         True if it only acts beyond a limit, so that it may show in a few stretches of a record.
     rugged : bool
         True if it switches, so that a fit along derivatives ends at one of many small maxima.
-    form : (str, tuple of float)
-        Short name of a parameter that bends its form and does nothing at its default: a fit frees it last, from each of
+    form : tuple of mapping
+        Parameters, by short names, that bend its form and do nothing at their defaults: a fit frees them last, from each of
         these values.
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
@@ -162,7 +166,7 @@ class Effect:
     local: bool = False
     rugged: bool = False
     load_side: bool = False
-    form: tuple[str, tuple[float, ...]] | None = None
+    form: tuple[Mapping[str, float], ...] = ()
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None
     sampled: tuple[State, ...] = ()

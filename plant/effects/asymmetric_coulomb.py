@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Effect, Evidence
@@ -17,8 +18,8 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return no asymmetry: what it does is proportional to it."""
-    return [{"share": 0.0}]
+    """Return no asymmetry, and that by linear regression."""
+    return [{"share": 0.0}, {"share": e.coefficient(-e.level * np.abs(np.sign(e.v)))}]
 
 
 EFFECT = Effect(

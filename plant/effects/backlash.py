@@ -53,7 +53,7 @@ EFFECT = Effect(
         Parameter("backlash.dissipation", "lambda", "s/rad", 1.0, 0.0, 1e6, "damping over elastic torque and rate", "hunt1975"),
         Parameter("backlash.exponent", "n", "1", 1.0, 1.0, 3.0, "of the torque over the deformation of the contact", "hunt1975"),
     ),
-    form=("exponent", (1.5, 2.0)),
+    form=({"exponent": 1.5}, {"exponent": 2.0}),
     coupling=coupling,
     starts=starts,
 )

@@ -12,12 +12,14 @@ from bristle.plant.effect import Context, Effect, Evidence
 
 
 def output(c: Context) -> tuple[ca.SX, ca.SX]:
-    """y = theta + e sin(theta + phi), y' = v (1 + e cos(theta + phi)).
+    """y = theta + e (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta)), y' = v dy/dtheta.
 
-    Source: ellin2008 (error of a rotary encoder once in a turn).
+    Source: ellin2008 (error of a rotary encoder once in a turn by eccentricity, twice by an oval disc).
     """
-    angle = c.theta + c.p.phase
-    return c.theta + c.p.amplitude * ca.sin(angle), c.v * (1 + c.p.amplitude * ca.cos(angle))
+    angle, twice = c.theta + c.p.phase, 2 * c.theta
+    wave = ca.sin(angle) + c.p.sine2 * ca.sin(twice) + c.p.cosine2 * ca.cos(twice)
+    slope = ca.cos(angle) + 2 * (c.p.sine2 * ca.cos(twice) - c.p.cosine2 * ca.sin(twice))
+    return c.theta + c.p.amplitude * wave, c.v * (1 + c.p.amplitude * slope)
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
@@ -33,14 +35,17 @@ EFFECT = Effect(
     "an encoder disc that is not centred on the shaft",
     "ellin2008",
     group="eccentric_encoder",
-    equation="y = theta + e sin(theta + phi)",
+    equation="y = theta + e (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta))",
     residual=("theta", "v"),
     excitation="fast turns: its acceleration grows with the square of the speed",
     confounded=("gravity", "cogging"),
     parameters=(
         Parameter("eccentric_encoder.amplitude", "e", "rad", 0.02, -0.9, 0.9, "largest error of the angle", "ellin2008"),
         Parameter("eccentric_encoder.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle of the disc at theta = 0", "ellin2008"),
+        Parameter("eccentric_encoder.sine2", "s2", "1", 0.0, -0.5, 0.5, "share twice in a turn, sine", "ellin2008"),
+        Parameter("eccentric_encoder.cosine2", "c2", "1", 0.0, -0.5, 0.5, "share twice in a turn, cosine", "ellin2008"),
     ),
+    form=({"sine2": 0.0, "cosine2": 0.0},),
     output=output,
     starts=starts,
 )

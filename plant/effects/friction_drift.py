@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Effect, Evidence
 
+SMALL = 1e-4  # of the settling: where three terms of its series are exact
+
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
-    """Fc max(1 + r t, 0), with t the simulation time.
+    """Fc max(1 + r (1 - exp(-s t))/s, 0), with t the simulation time; a straight line for s = 0.
 
-    Source: armstrong1994 (friction varies with time and temperature; the straight line is its first-order term).
+    Source: armstrong1994 (friction varies with time and temperature; a first-order lag of what it settles to).
     """
-    value = ca.fmax(1 + c.p.rate * c.time, 0)
+    x = c.p.settling * c.time
+    line = ca.if_else(ca.fabs(x) < SMALL, 1 - x / 2 + x * x / 6, (1 - ca.exp(-x)) / ca.if_else(ca.fabs(x) < SMALL, 1, x))
+    value = ca.fmax(1 + c.p.rate * c.time * line, 0)
     return value, value
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return no drift: what it does is proportional to it."""
-    return [{"rate": 0.0}]
+    """Return no drift, and that by linear regression."""
+    return [{"rate": 0.0}, {"rate": e.coefficient(-e.level * np.sign(e.v) * e.time)}]
 
 
 EFFECT = Effect(
@@ -27,13 +32,15 @@ EFFECT = Effect(
     "dry friction that changes with time",
     "armstrong1994",
     group="friction_drift",
-    equation="Fc max(1 + r t, 0) sgn v",
+    equation="Fc max(1 + r (1 - exp(-s t))/s, 0) sgn v",
     residual=("t x direction",),
     excitation="a long record",
     confounded=("disturbance_step", "position_friction"),
     parameters=(
-        Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second", "armstrong1994"),
+        Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second, at first", "armstrong1994"),
+        Parameter("friction_drift.settling", "s", "1/s", 0.0, 0.0, 10.0, "how fast the change comes to its end", "armstrong1994"),
     ),
+    form=({"settling": 0.0},),
     factor=factor,
     starts=starts,
 )

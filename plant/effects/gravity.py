@@ -12,11 +12,13 @@ from bristle.plant.effect import Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
-    """T = -A sin(theta + phi).
+    """T = -A (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta)).
 
-    Source: spong2006 chapter 7 (single link in the field of gravity).
+    Source: spong2006 chapter 7 (single link in the field of gravity; behind a linkage the torque has further terms).
     """
-    return ca.SX(-c.p.amplitude * ca.sin(c.theta + c.p.phase))
+    twice = 2 * c.theta
+    wave = ca.sin(c.theta + c.p.phase) + c.p.sine2 * ca.sin(twice) + c.p.cosine2 * ca.cos(twice)
+    return ca.SX(-c.p.amplitude * wave)
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
@@ -30,14 +32,17 @@ EFFECT = Effect(
     "a mass out of balance",
     "spong2006",
     group="gravity",
-    equation="T = -A sin(theta + phi)",
+    equation="T = -A (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta))",
     residual=("theta",),
     excitation="more than half a turn",
     confounded=("hard_stop", "bias", "eccentric_encoder", "cogging"),
     parameters=(
         Parameter("gravity.amplitude", "A", "N.m", 0.005, -1e6, 1e6, "weight times arm", "spong2006 chapter 7"),
         Parameter("gravity.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle to the lowest point at theta = 0", "spong2006 chapter 7"),
+        Parameter("gravity.sine2", "s2", "1", 0.0, -0.5, 0.5, "share twice in a turn, sine", "spong2006 chapter 7"),
+        Parameter("gravity.cosine2", "c2", "1", 0.0, -0.5, 0.5, "share twice in a turn, cosine", "spong2006 chapter 7"),
     ),
+    form=({"sine2": 0.0, "cosine2": 0.0},),
     load_side=True,
     torque=torque,
     starts=starts,

@@ -12,13 +12,17 @@ from bristle.plant.effect import Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
-    """T = -k max(theta - upper, 0) + k max(lower - theta, 0).
+    """T = k e (e/e0)^(n-1) below the lower stop, minus that above the upper one; e how deep.
 
-    Source: acary2008 (unilateral contact with a spring in place of the constraint).
+    Source: acary2008 (unilateral contact with a spring in place of the constraint), hunt1975 (a power of the depth).
     """
-    return ca.SX(c.p.stiffness * (ca.fmax(c.p.lower - c.theta, 0) - ca.fmax(c.theta - c.p.upper, 0)))
+    press = ca.fmax(c.p.lower - c.theta, 0) - ca.fmax(c.theta - c.p.upper, 0)
+    bent = ca.exp((c.p.exponent - 1) * ca.log(ca.fmax(ca.fabs(press) / DEPTH, FLAT)))
+    return ca.SX(c.p.stiffness * press * bent)
 
 
+DEPTH = 0.1  # rad: how deep the torque does not depend on the exponent
+FLAT = 1e-9  # of it: less has no logarithm
 SHARES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # of the time that a stop may be reached
 
 
@@ -44,7 +48,7 @@ EFFECT = Effect(
     "elastic stops at the ends of the range",
     "acary2008",
     group="hard_stop",
-    equation="T = -k max(theta - upper, 0) + k max(lower - theta, 0)",
+    equation="T = k e (|e|/e0)^(n-1), e = max(lower - theta, 0) - max(theta - upper, 0), e0 = 0.1 rad",
     residual=("theta",),
     local=True,
     excitation="motion that reaches the stop",
@@ -53,7 +57,9 @@ EFFECT = Effect(
         Parameter("hard_stop.stiffness", "k", "N.m/rad", 0.5, 0.0, 1e9, "stiffness of the stops", "acary2008"),
         Parameter("hard_stop.upper", "upper", "rad", 1.0, -1e6, 1e6, "where the upper stop begins", "acary2008"),
         Parameter("hard_stop.lower", "lower", "rad", -1e6, -1e6, 1e6, "where the lower stop begins", "acary2008"),
+        Parameter("hard_stop.exponent", "n", "1", 1.0, 1.0, 4.0, "of the torque over the depth", "hunt1975"),
     ),
+    form=({"exponent": 1.0}, {"exponent": 2.0}),
     load_side=True,
     torque=torque,
     starts=starts,

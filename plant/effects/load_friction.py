@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Effect, Evidence
@@ -17,8 +18,8 @@ def bound(c: Context) -> ca.SX:
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return no such friction: what it does is proportional to it."""
-    return [{"coefficient": 0.0}]
+    """Return no such friction, and that by linear regression."""
+    return [{"coefficient": 0.0}, {"coefficient": e.coefficient(-np.abs(e.gain * e.u) * np.sign(e.v))}]
 
 
 EFFECT = Effect(

@@ -12,11 +12,13 @@ from bristle.plant.effect import Array, Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
-    """Fc (1 + A sin(N theta + phi)).
+    """Fc (1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta))).
 
-    Source: armstrong1994 (position-dependent friction).
+    Source: armstrong1994 (position-dependent friction; first two terms of its Fourier series).
     """
-    value = 1 + c.p.amplitude * ca.sin(c.p.periods * c.theta + c.p.phase)
+    angle = c.p.periods * c.theta
+    twice = c.p.sine2 * ca.sin(2 * angle) + c.p.cosine2 * ca.cos(2 * angle)
+    value = 1 + c.p.amplitude * (ca.sin(angle + c.p.phase) + twice)
     return value, value
 
 
@@ -38,7 +40,7 @@ EFFECT = Effect(
     "dry friction that depends on the position",
     "armstrong1994",
     group="position_friction",
-    equation="Fc (1 + A sin(N theta + phi)) sgn v",
+    equation="Fc (1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta))) sgn v",
     residual=("theta x direction",),
     excitation="many turns in both directions",
     confounded=("cogging", "load_friction", "friction_drift"),
@@ -46,7 +48,10 @@ EFFECT = Effect(
         Parameter("position_friction.amplitude", "A", "1", 0.4, -1.0, 1.0, "share of the friction that varies", "armstrong1994"),
         Parameter("position_friction.periods", "N", "1", 1.0, 1.0, 1e4, "periods in a turn", "armstrong1994"),
         Parameter("position_friction.phase", "phi", "rad", 0.0, -10.0, 10.0, "phase", "armstrong1994"),
+        Parameter("position_friction.sine2", "s2", "1", 0.0, -0.5, 0.5, "share of a second term, sine", "armstrong1994"),
+        Parameter("position_friction.cosine2", "c2", "1", 0.0, -0.5, 0.5, "share of a second term, cosine", "armstrong1994"),
     ),
+    form=({"sine2": 0.0, "cosine2": 0.0},),
     factor=factor,
     starts=starts,
 )

@@ -8,13 +8,16 @@ import numpy as np
 from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Effect, Evidence
 
+FLAT = 1e-9  # of the Stribeck velocity: less has no logarithm
+
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
-    """Fc (1 + e exp(-(v/vs)^2)), with e = Fs/Fc - 1.
+    """Fc (1 + e exp(-|v/vs|^n)), with e = Fs/Fc - 1.
 
-    Source: armstrong1994 (Stribeck curve, Gaussian form).
+    Source: armstrong1994 (Stribeck curve: Gaussian for n = 2, exponential for n = 1).
     """
-    value = 1 + c.p.excess * ca.exp(-((c.v / c.p.speed) ** 2))
+    power = ca.exp(c.p.exponent * ca.log(ca.fmax(ca.fabs(c.v / c.p.speed), FLAT)))
+    value = 1 + c.p.excess * ca.exp(-power)
     return value, value
 
 
@@ -29,14 +32,16 @@ EFFECT = Effect(
     "more dry friction at low speed",
     "armstrong1994",
     group="stribeck",
-    equation="Fc (1 + e exp(-(v/vs)^2)) sgn v",
+    equation="Fc (1 + e exp(-|v/vs|^n)) sgn v",
     residual=("v",),
     excitation="creep and reversals",
     confounded=("quadratic_drag", "dead_zone", "presliding"),
     parameters=(
         Parameter("stribeck.excess", "e", "1", 0.5, -1.0, 100.0, "static over Coulomb friction, less one", "armstrong1994"),
         Parameter("stribeck.speed", "vs", "rad/s", 0.3, 1e-6, 1e6, "Stribeck velocity", "armstrong1994"),
+        Parameter("stribeck.exponent", "n", "1", 2.0, 0.5, 4.0, "of the velocity in the Stribeck curve", "armstrong1994"),
     ),
+    form=({"exponent": 2.0},),
     factor=factor,
     starts=starts,
 )

@@ -13,9 +13,9 @@ TURN = 2 * np.pi
 HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the error
 
 
-def said(share, *named, gap=HALF, turn=TURN, **values):
+def said(share, *named, gap=HALF, turn=TURN, odd=False, **values):
     """What remains of a residual in which one view shows."""
-    return remains([share, Share("t", 0.01, 1.0)], values, named, gap, turn, gap.before / gap.after)
+    return remains([share, Share("t", 0.01, 1.0)], values, named, gap, turn, gap.before / gap.after, odd)
 
 
 def test_what_is_sure_and_large_remains_in_whatever_view():
@@ -32,6 +32,14 @@ def test_what_is_unsure_or_small_or_the_sensors_own_does_not(share):
 @pytest.mark.parametrize(("share", "flag"), [(0.19, False), (0.21, True)])
 def test_what_is_left_is_measured_by_the_gap_there_was(share, flag):
     assert said(Share("history", share, 0.001), "gravity").flag is flag
+
+
+@pytest.mark.parametrize(("share", "flag"), [(0.07, False), (0.09, True)])
+def test_less_is_enough_where_a_stretch_is_far_off(share, flag):
+    assert said(Share("tone", share, 0.02), odd=True).flag is flag
+    assert not said(Share("tone", share, 0.02)).flag
+    assert not said(Share("tone", share, 0.05), odd=True).flag
+    assert not said(Share("tone", share, 0.02), "gravity", odd=True).flag
 
 
 def test_what_is_left_of_a_gap_that_was_closed_is_small():

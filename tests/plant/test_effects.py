@@ -334,27 +334,44 @@ VISCOUS = {  # name: (parameters, states, rates)
 }  # fmt: skip
 
 
-FORMS = [  # name, parameters with the one that bends the form, torque of the coupling
-    (
-        "compliance", {"compliance.stiffness": 2.0, "compliance.damping": 0.003, "compliance.hardening": 1500.0},
-        lambda twist, rate: 2.0 * twist + 3000.0 * twist**3 + 0.003 * rate,
+def usual(name, parameters):
+    """Without what bends the form of an effect."""
+    bending = {f"{name}.{short}" for start in effect(name).form for short in start}
+    assert bending <= set(parameters)
+    return {key: value for key, value in parameters.items() if key not in bending}
+
+
+FORMS = {  # name: (parameters with those that bend the form, states, rates)
+    "compliance": (
+        {"compliance.stiffness": 2.0, "compliance.damping": 0.003, "compliance.hardening": 1500.0}, 4,
+        two(lambda twist, rate: 2.0 * twist + 3000.0 * twist**3 + 0.003 * rate),
     ),
-    (
-        "backlash",
-        {"backlash.play": 0.04, "backlash.stiffness": 0.4, "backlash.dissipation": 2.0, "backlash.exponent": 1.5},
-        lambda twist, rate: (
+    "backlash": (
+        {"backlash.play": 0.04, "backlash.stiffness": 0.4, "backlash.dissipation": 2.0, "backlash.exponent": 1.5}, 4,
+        two(lambda twist, rate: (
             0.4 / math.sqrt(1e-3) * math.copysign(abs(play(twist, 0.02)) ** 1.5, twist)
             * max(0.0, 1.0 + 2.0 * math.copysign(rate, rate * twist))
-        ),
+        )),
     ),
-]  # fmt: skip
+    "gravity": (
+        {"gravity.amplitude": 0.01, "gravity.phase": 0.3, "gravity.sine2": 0.4, "gravity.cosine2": -0.3}, 2,
+        simple(lambda t, th, v, u: (
+            B * u - 0.01 * math.sin(th + 0.3) - 0.005 * math.sin(2 * th + math.atan2(-0.003, 0.004))
+        )),
+    ),
+    "hard_stop": (
+        {"hard_stop.stiffness": 0.3, "hard_stop.upper": 0.5, "hard_stop.lower": -0.4, "hard_stop.exponent": 2.0}, 2,
+        simple(lambda t, th, v, u: B * u - 3.0 * ((th - 0.5) ** 2 if th > 0.5 else -((th + 0.4) ** 2) if th < -0.4 else 0.0)),
+    ),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "parameters", "torque"), FORMS, ids=[name for name, *_ in FORMS])
-def test_the_form_of_a_coupling_follows_the_equation(name, parameters, torque):
-    usual = {key: value for key, value in parameters.items() if key != f"{name}.{effect(name).form[0]}"}
-    record, straight = (Native(every("viscous"), p, name).run(H, {"u": levels()}, ["theta", "v"])[0] for p in (parameters, usual))
-    expected = solve(two(torque), 4)[:, :2]
+@pytest.mark.parametrize("name", list(FORMS))
+def test_another_form_of_an_effect_follows_the_equation(name):
+    parameters, n, rates = FORMS[name]
+    both = (parameters, usual(name, parameters))
+    record, straight = (Native(every("viscous"), p, name).run(H, {"u": levels()}, ["theta", "v"])[0] for p in both)
+    expected = solve(rates, n)[:, :2]
     size = np.ptp(expected, axis=0)
     assert np.all(np.abs(record - expected) <= 1e-5 * size)
     assert np.max(np.abs(straight - expected) / size) > 1e-2  # the form matters here
@@ -389,10 +406,53 @@ COULOMB = {
     "load_friction": ({"load_friction.coefficient": 0.2}, dry(lambda t, th, v, u: FC + 0.2 * abs(B * u))),
 }  # fmt: skip
 
+DRY_FORMS = {
+    "stribeck": (
+        {"stribeck.excess": 1.5, "stribeck.speed": 2.0, "stribeck.exponent": 1.0},
+        dry(lambda t, th, v, u: FC * (1 + 1.5 * math.exp(-abs(v) / 2.0))),
+    ),
+    "friction_drift": (
+        {"friction_drift.rate": 2.0, "friction_drift.settling": 4.0},
+        dry(lambda t, th, v, u: FC * (1 + 0.5 * (1 - math.exp(-4.0 * t)))),
+    ),
+    "position_friction": (
+        {"position_friction.amplitude": 0.4, "position_friction.periods": 2.0, "position_friction.phase": 0.5,
+         "position_friction.sine2": 0.3, "position_friction.cosine2": 0.4},
+        dry(lambda t, th, v, u: FC * (1 + 0.4 * math.sin(2 * th + 0.5) + 0.2 * math.sin(4 * th + math.atan2(0.4, 0.3)))),
+    ),
+}  # fmt: skip
+
 
 @pytest.mark.parametrize("name", list(COULOMB))
 def test_motion_with_dry_friction_follows_the_equation(name):
     parameters, rates = COULOMB[name]
+    follows(name, parameters, rates)
+
+
+@pytest.mark.parametrize("name", list(DRY_FORMS))
+def test_another_form_of_dry_friction_follows_the_equation(name):
+    parameters, rates = DRY_FORMS[name]
+    record, straight = (
+        Native(lean(name), p).run(H, {"u": levels(1.5)[:900]}, ["theta", "v"])[0] for p in (parameters, usual(name, parameters))
+    )
+    assert np.max(np.abs(straight - record) / np.ptp(record, axis=0)) > 1e-2  # the form matters here
+    follows(name, parameters, rates)
+
+
+def test_a_drift_that_hardly_settles_is_a_straight_line():
+    """Where the exponential is replaced by its series, nothing jumps."""
+    records = [
+        Native(lean("friction_drift"), {"friction_drift.rate": 0.5, "friction_drift.settling": s}).run(
+            H, {"u": levels(1.5)}, ["theta", "v"]
+        )[0]
+        for s in (0.0, 0.99e-4, 1.01e-4)
+    ]
+    size = np.ptp(records[0], axis=0)
+    assert 0 < np.max(np.abs(records[1] - records[0]) / size) < 2e-4
+    assert np.max(np.abs(records[2] - records[1]) / size) < 1e-5
+
+
+def follows(name, parameters, rates):
     u = levels(1.5)[:900]  # never weaker than friction
     record, _ = Native(lean(name), parameters | {"solver.friction_step": 1e-5}).run(H, {"u": u}, ["theta", "v"])
     expected, without = (solve(each, 2, 1.5, LEVELS[:2]) for each in (rates, dry(lambda t, th, v, u: FC)))
@@ -443,12 +503,16 @@ def test_a_delay_shifts_the_input(periods):
 
 def test_an_eccentric_encoder_shows_a_consistent_velocity():
     program, e, phi = every("viscous"), 0.1, 0.7
-    parameters = {"eccentric_encoder.amplitude": e, "eccentric_encoder.phase": phi, "theta_start": 0.3}
+    parameters = {
+        "eccentric_encoder.amplitude": e, "eccentric_encoder.phase": phi, "theta_start": 0.3,
+        "eccentric_encoder.sine2": 0.2, "eccentric_encoder.cosine2": -0.3,
+    }  # fmt: skip
     native = Native(program, parameters, "eccentric_encoder")
     names = ["theta", "v", "eccentric_encoder.theta", "eccentric_encoder.v", "theta_enc"]
     record, _ = native.run(1e-4, {"u": np.full(15000, 6.0)}, names)
     shown, rate, theta, v, counted = record.T
-    np.testing.assert_allclose(shown, theta + e * np.sin(theta + phi), rtol=1e-14)
+    twice = e * math.hypot(0.2, 0.3) * np.sin(2 * theta + math.atan2(-0.3, 0.2))
+    np.testing.assert_allclose(shown, theta + e * np.sin(theta + phi) + twice, rtol=1e-13)
     assert np.max(np.abs(np.gradient(shown, 1e-4)[1:-1] - rate[1:-1])) < 1e-4 * np.max(rate)
     assert np.max(np.abs(rate - v)) > 0.05 * np.max(v)
     assert np.all(shown[::10] - counted[::10] < 2 * math.pi / 40000)
