@@ -262,7 +262,7 @@ def worth_adding(verdict: Verdict, first: float) -> bool:
 
 
 def amiss(bench: Bench, stage: Stage) -> bool:
-    """True if a servo misses some stretch by far, and not because a contact rattles: that is worth patience."""
+    """True if a servo is far off, and not because a contact rattles: that is worth patience."""
     return bench.odd(stage.fit) and not any(contact(name) for name in stage.servo.effects)
 
 
