@@ -167,6 +167,12 @@ def freedom(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[fl
     return tuple(found)
 
 
+def contact(name: str) -> bool:
+    """True for a coupling that switches: two runs of a loose load differ, and its likelihood has many small maxima."""
+    effect = find_effect(name)
+    return effect.rugged and effect.coupling is not None
+
+
 def starts(name: str, e: Evidence) -> list[dict[str, float]]:
     """Return the starting values of an effect from data."""
     make = find_effect(name).starts
@@ -242,13 +248,12 @@ def advance(
 
     What does nothing where it starts stays there, unless it switches.
     """
-    effect = find_effect(candidate.name)
-    if not effort.all and not effect.rugged and STILL[0] < candidate.promised - least < STILL[1]:
+    if not effort.all and not find_effect(candidate.name).rugged and STILL[0] < candidate.promised - least < STILL[1]:
         return replace(candidate, rivals=())
     several = candidate.rivals if effort.all or candidate.promised > least else ()
     ends = [_worth(_climbed(t, quiet, least, effort.steps), quiet) for t in (candidate.fit, *several) if t]
     ends.sort(key=lambda end: -end[0])
-    if effect.coupling and effect.rugged:  # contacts: hardly a start is near enough
+    if contact(candidate.name):  # hardly a start is near enough
         near = [fit for promised, fit in ends[: effort.around] if promised > least - NEAR]
         ends += [_worth(scanned(fit, left_by, (candidate.name,), SPREADS[:1]), quiet) for fit in near]
     promised, fit = max(ends, key=lambda end: end[0])

@@ -19,6 +19,7 @@ from bristle.diagnosis.candidates import (
     Effort,
     Start,
     advance,
+    contact,
     evidence,
     explore,
     freedom,
@@ -56,12 +57,6 @@ STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little
 def group(name: str) -> str:
     """Return the class of an effect."""
     return all_effects()[name].group
-
-
-def contact(name: str) -> bool:
-    """True for a coupling that switches: two runs of a loose load differ, and its likelihood has many small maxima."""
-    effect = find_effect(name)
-    return effect.rugged and effect.coupling is not None
 
 
 def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort: Effort = HASTY) -> Verdict:
@@ -262,8 +257,8 @@ def worth_adding(verdict: Verdict, first: float) -> bool:
 
 
 def amiss(bench: Bench, stage: Stage) -> bool:
-    """True if a servo is far off, and not because a contact rattles: that is worth patience."""
-    return bench.odd(stage.fit) and not any(contact(name) for name in stage.servo.effects)
+    """True if a servo is far off, and not because a contact rattles: that is worth patience, if the motion tells effects apart."""
+    return bench.odd(stage.fit) and not bench.narrow and not any(contact(name) for name in stage.servo.effects)
 
 
 def considered(
@@ -279,8 +274,7 @@ def considered(
         return verdict, verdict.decision
     if not (verdict.large and verdict.proven):
         verdict = reconsidered(bench, stage, verdict)
-        best = verdict.best
-        assert best is not None
+        best = verdict.best or best
     if not (verdict.large and verdict.proven):
         small = "of no help on segments kept from the search" if verdict.large else "certain but small"
         return replace(verdict, ties=()), f"'{best.name}' is {small}"
@@ -305,14 +299,14 @@ def reconsidered(bench: Bench, stage: Stage, verdict: Verdict) -> Verdict:
     end = bent(begun, bench, best.name, level)
     if end is begun:
         return verdict
-    other = replace(best, fit=end.fit)
-    beyond = [other if c.name == best.name else c for c in verdict.candidates if c.test is not None]
-    return judged(bench, stage, [other if c.name == best.name else c for c in verdict.candidates], beyond, verdict.null)
+    tried = [replace(c, fit=end.fit) if c.name == best.name else c for c in verdict.candidates]
+    return judged(bench, stage, tried, [c for c in tried if c.test is not None], verdict.null)
 
 
 def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]:
     """Add effects one after the other as long as one is found that is certain and large enough."""
-    stage, rounds = base, []
+    stage = base
+    rounds: list[Verdict] = []
     taken = set(base.servo.effects)
     while True:
         classes = {group(name) for name in taken}
@@ -321,16 +315,16 @@ def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]
         verdict, why = considered(bench, stage, names, first, tell, HASTY)
         if why and why != ALIKE and verdict.candidates and amiss(bench, stage):
             verdict, why = considered(bench, stage, names, first, tell, PATIENT)
-        rounds.append(replace(verdict, decision=why or f"'{verdict.best.name}' added", named=not why))
-        if why:
+        best = verdict.best
+        if why or best is None:
+            rounds.append(replace(verdict, decision=why))
             break
-        level = verdict.null.level(verdict.best.name)
-        stage = extend(stage, bench, verdict.best, level)
-        taken.add(verdict.best.name)
+        level = verdict.null.level(best.name)
+        stage = extend(stage, bench, best, level)
+        taken.add(best.name)
         stage, spared = pruned(stage, bench, base, verdict.gain, level)
-        if spared:
-            text = f"'{verdict.best.name}' added; {', '.join(spared)} dropped: not needed any more"
-            rounds[-1] = replace(rounds[-1], decision=text)
+        dropped = f"; {', '.join(spared)} dropped: not needed any more" if spared else ""
+        rounds.append(replace(verdict, decision=f"'{best.name}' added{dropped}", named=True))
         if len(taken) - len(base.servo.effects) >= MOST or bench.narrow:
             break
         if not suspicious(stage, bench, rounds[-1], taken):
