@@ -28,7 +28,7 @@ STILL = (-20.0, 2.0)  # nats that a start promises over the model without the ef
 WAVES = 8  # finalists among waves of several periods where the model is far off: what one step promises says little there
 TRIES = 6  # values for each parameter of a rugged effect that are tried around where it stands,
 SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread by such factors, round by round,
-BETTER = 5.0  # as long as that gains so many nats
+BETTER = 5.0  # if that gains so many nats
 NEAR = 300.0  # nats below the model without it: from there on, a contact is not tried around its starts
 LIMITS = {  # closer than what can be simulated: what a servo may have
     "stribeck.excess": (0.0, 100.0),
@@ -291,9 +291,8 @@ def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str], s
             trial = evaluate(problem, fit.simulator, fit.free, {**best.values, **near}, best.starts)
             best = max((best, trial), key=lambda each: each.total)
         new = max((best, rescored(problem, _refitted(best, quiet, ITERATIONS))), key=lambda each: each.total)
-        if new.total < fit.total + BETTER:
-            break
-        fit = new
+        if new.total >= fit.total + BETTER:
+            fit = new
     return rescored(quiet(fit), fit)
 
 

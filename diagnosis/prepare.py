@@ -27,6 +27,7 @@ STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
 FALLEN = 0.25  # of the top speed, but for rare ones: up to there a Stribeck curve must have fallen
+POLE = 0.25  # of a segment: the slowest electrical pole
 EDGE = 0.05  # of the time, at either end, in which no step is looked for; of speeds, that are rare
 
 
@@ -71,9 +72,9 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
     seen before and after, else it is a bias with a few odd segments. A stop: touched less than half of the time, else it
     is a spring or a bias. A dead zone or a saturation: one that swallows nearly the whole input, or leaves only its sign,
     says that the input explains nothing. A Stribeck curve: one that has fallen well within the speeds that are seen, else it
-    is a drag by another name.
+    is a drag by another name. An electrical pole: several times faster than a segment lasts, else it is an integrator.
     """
-    least = 2 * 2 * math.pi / bench.turn
+    s, least = bench.segments, 2 * 2 * math.pi / bench.turn
     periodic = ("cogging.periods", "position_friction.periods") if bench.linear else ("cogging.periods",)
     first, last = np.quantile(bench.motion.time, [EDGE, 1 - EDGE])
     middle = float(np.median(bench.motion.theta))
@@ -84,6 +85,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
         "hard_stop.upper": (middle, math.inf),
         "hard_stop.lower": (-math.inf, middle),
         "saturation.limit": (float(least_u), math.inf),
+        "electrical_pole.time_constant": (0.0, POLE * s.bins * s.width * s.h),
         "stribeck.speed": (0.0, FALLEN * float(np.quantile(np.abs(bench.motion.v), 1 - EDGE))),
         **{name: (least, math.inf) for name in periodic},
     }

@@ -49,6 +49,7 @@ PLAIN = 1.6  # a further effect lowers the error so, and shows anything on segme
 # that were not there, gained `CLEAR` times the level and were no wave's form, one lowered it by 1.9, the others by less than 1.5),
 MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
 SURE, ASIDE = 5.0, 0.25  # or gains so many times the level and this share, and `AGREED` on segments kept from the search,
+FORMED = 40.0  # nats, at least, that another form gains: where a contact is all there is, numbers alone bring 28
 MUCH, AGAIN = 1.5, 15.0  # or so, or gains this share, and gains so many nats on segments kept from the search
 ALIKE = "several effects explain it alike"
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
@@ -176,9 +177,10 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
     problem = bench.left_by(fit)
     fit = resume(problem, fit)
     bending = [f for f in best.servo.free if f.name not in free]
-    if any(f.stuck(fit.values[f.name]) for f in bending) or fit.total < rescored(problem, stage.fit).total + SURE * level:
+    if any(f.stuck(fit.values[f.name]) for f in bending):
         return stage
-    return Stage(best.servo, problem, fit)
+    gained = fit.total - rescored(problem, stage.fit).total
+    return Stage(best.servo, problem, fit) if gained > max(SURE * level, FORMED) else stage
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage, gain: float, level: float) -> tuple[Stage, list[str]]:

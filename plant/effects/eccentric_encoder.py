@@ -42,8 +42,8 @@ EFFECT = Effect(
     parameters=(
         Parameter("eccentric_encoder.amplitude", "e", "rad", 0.02, -0.9, 0.9, "largest error of the angle", "ellin2008"),
         Parameter("eccentric_encoder.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle of the disc at theta = 0", "ellin2008"),
-        Parameter("eccentric_encoder.sine2", "s2", "1", 0.0, -0.5, 0.5, "share twice in a turn, sine", "ellin2008"),
-        Parameter("eccentric_encoder.cosine2", "c2", "1", 0.0, -0.5, 0.5, "share twice in a turn, cosine", "ellin2008"),
+        Parameter("eccentric_encoder.sine2", "s2", "1", 0.0, -0.35, 0.35, "share twice in a turn, sine", "ellin2008"),
+        Parameter("eccentric_encoder.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share twice in a turn, cosine", "ellin2008"),
     ),
     form=({"sine2": 0.0, "cosine2": 0.0},),
     output=output,

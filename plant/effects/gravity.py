@@ -39,8 +39,8 @@ EFFECT = Effect(
     parameters=(
         Parameter("gravity.amplitude", "A", "N.m", 0.005, -1e6, 1e6, "weight times arm", "spong2006 chapter 7"),
         Parameter("gravity.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle to the lowest point at theta = 0", "spong2006 chapter 7"),
-        Parameter("gravity.sine2", "s2", "1", 0.0, -0.5, 0.5, "share twice in a turn, sine", "spong2006 chapter 7"),
-        Parameter("gravity.cosine2", "c2", "1", 0.0, -0.5, 0.5, "share twice in a turn, cosine", "spong2006 chapter 7"),
+        Parameter("gravity.sine2", "s2", "1", 0.0, -0.35, 0.35, "share twice in a turn, sine", "spong2006 chapter 7"),
+        Parameter("gravity.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share twice in a turn, cosine", "spong2006 chapter 7"),
     ),
     form=({"sine2": 0.0, "cosine2": 0.0},),
     load_side=True,

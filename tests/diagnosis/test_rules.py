@@ -184,7 +184,7 @@ def begun(case, measured):
 
 FORMS = {
     "compliance": {"hardening": 3000.0}, "backlash": {"exponent": 1.5}, "stribeck": {"exponent": 1.0},
-    "hard_stop": {"exponent": 2.0}, "friction_drift": {"settling": 0.3}, "gravity": {"sine2": 0.2, "cosine2": -0.2},
+    "hard_stop": {"exponent": 2.0}, "friction_drift": {"rate": 0.2, "settling": 0.5}, "gravity": {"sine2": 0.2, "cosine2": -0.2},
     "position_friction": {"sine2": 0.3, "cosine2": 0.2}, "eccentric_encoder": {"amplitude": 0.03, "sine2": 0.2, "cosine2": 0.15},
 }  # fmt: skip
 

@@ -354,9 +354,9 @@ FORMS = {  # name: (parameters with those that bend the form, states, rates)
         )),
     ),
     "gravity": (
-        {"gravity.amplitude": 0.01, "gravity.phase": 0.3, "gravity.sine2": 0.4, "gravity.cosine2": -0.3}, 2,
+        {"gravity.amplitude": 0.01, "gravity.phase": 0.3, "gravity.sine2": 0.32, "gravity.cosine2": -0.24}, 2,
         simple(lambda t, th, v, u: (
-            B * u - 0.01 * math.sin(th + 0.3) - 0.005 * math.sin(2 * th + math.atan2(-0.003, 0.004))
+            B * u - 0.01 * math.sin(th + 0.3) - 0.004 * math.sin(2 * th + math.atan2(-0.003, 0.004))
         )),
     ),
     "hard_stop": (
@@ -417,8 +417,8 @@ DRY_FORMS = {
     ),
     "position_friction": (
         {"position_friction.amplitude": 0.4, "position_friction.periods": 2.0, "position_friction.phase": 0.5,
-         "position_friction.sine2": 0.3, "position_friction.cosine2": 0.4},
-        dry(lambda t, th, v, u: FC * (1 + 0.4 * math.sin(2 * th + 0.5) + 0.2 * math.sin(4 * th + math.atan2(0.4, 0.3)))),
+         "position_friction.sine2": 0.18, "position_friction.cosine2": 0.24},
+        dry(lambda t, th, v, u: FC * (1 + 0.4 * math.sin(2 * th + 0.5) + 0.12 * math.sin(4 * th + math.atan2(0.4, 0.3)))),
     ),
 }  # fmt: skip
 
