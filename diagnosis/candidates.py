@@ -328,8 +328,7 @@ def idle(name: str) -> dict[str, float]:
     """Return values at which optional parameters of an effect do nothing."""
     values = {"cogging.amplitude2": 0.0, "cogging.phase2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
     effect = find_effect(name)
-    bending = {f"{name}.{short}" for start in effect.form for short in start}
-    forms = {p.name: p.default for p in effect.parameters if p.name in bending}
+    forms = {p.name: p.default for p in effect.parameters if p.name.removeprefix(f"{name}.") in effect.bending}
     return {key: value for key, value in (values | forms).items() if key.startswith(f"{name}.")}
 
 

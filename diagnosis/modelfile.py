@@ -421,9 +421,9 @@ def _effect(name: str, given: Mapping[str, Given], where: Path | str, linear: bo
         values[key] = _number(f"effects.{name}.{key}", value, own[key], where, linear, kind)
     for key, parameter in own.items():
         if key not in values:
-            if parameter.default != 0.0:
+            if parameter.default != 0.0 and key not in known[name].bending:
                 raise mistake(where, f"effects.{name}.{key}", None, f"missing; add it ({parameter.description})")
-            values[key] = 0.0
+            values[key] = parameter.default
     return values
 
 

@@ -181,6 +181,11 @@ class Effect:
     bristles: Callable[[Context], tuple[SX, SX]] | None = None
     starts: Callable[[Evidence], list[dict[str, float]]] | None = None
 
+    @property
+    def bending(self) -> frozenset[str]:
+        """Short names of the parameters that bend its form."""
+        return frozenset(short for start in self.form for short in start)
+
 
 def arrange(effects: Sequence[Effect]) -> list[Effect]:
     """Return the effects in the order in which they act; raise `BristleError` for those that exclude each other."""

@@ -192,7 +192,7 @@ FORMS = {
 @pytest.mark.parametrize("name", list(FORMS))
 def test_the_form_of_an_effect_is_fitted_once_it_is_named(begun, name):
     """And only where the records call for it; what is left then is what the right form leaves."""
-    bending = {short for start in effect(name).form for short in start}
+    bending = effect(name).bending
     usual = {short: value for short, value in FORMS[name].items() if short not in bending}
     ends = []
     for given in (usual, FORMS[name]):

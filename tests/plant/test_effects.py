@@ -336,7 +336,7 @@ VISCOUS = {  # name: (parameters, states, rates)
 
 def usual(name, parameters):
     """Without what bends the form of an effect."""
-    bending = {f"{name}.{short}" for start in effect(name).form for short in start}
+    bending = {f"{name}.{short}" for short in effect(name).bending}
     assert bending <= set(parameters)
     return {key: value for key, value in parameters.items() if key not in bending}
 
