@@ -29,8 +29,8 @@ BEND = 0.25  # of the sensor's step: bristles that bend less are no effect
 FAR = 0.03  # share of the motion's square: beyond it, starts are sought along the measured motion too
 FEWEST = 10  # segments in motion that tell the noise
 HELD = 4  # every fourth segment is kept from the search
-ODD = 0.16  # weight of a segment, usually about 1, from which on a model misses it by far (of 60 controls 3 have one),
-LOUD = 0.15  # or the disturbance over the torque of the input, if it misses all of them (controls: 0.025, tones 0.11, couplings
+ODD = 0.16  # weight of a segment, usually about 1, below which a model misses it by far (of 60 controls 3 have one)
+LOUD = 0.15  # disturbance over the torque of the input, above which it misses all of them (controls: 0.025, tones 0.11, couplings
 # 0.17 and more)
 EVEN = 6.0  # nats between two fits that the records hardly tell apart
 

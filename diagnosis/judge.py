@@ -29,8 +29,8 @@ ALONE = 30.0  # times the level: beyond doubt whatever those segments say, where
 # that were 20 to 30 times the level, 5 were not)
 CLEAR = 3.0  # times the null's level: from there on the segments where a local effect acts say how large it is (controls: 2.2)
 CLOSE, CLOSER = 2.0, 1.0  # standard errors that a candidate may be behind to take the place of a best one that does not hold,
-# or if it is no more than usual, or only plainer (of 8 wrong names of 1540 records 4 were 1.1 to 1.5 behind, of 9 right ones
-# in the place of wrong ones none was more than 0.7)
+# if it gains `CLEAR` times the level, and otherwise, or where it is only plainer (of the single effects of 1540 records four
+# wrong ones that took that place were 1.1 to 1.5 behind, and the right ones 0.7 at most)
 NEARLY = 0.95  # of the fall that another one brings: no less to anyone who uses it
 RATIO = 3.3  # nats that a further parameter must gain
 MARK = 3.0  # nats: what one segment may say about it
@@ -77,11 +77,11 @@ def judged(bench: Bench, stage: Stage, tried: Sequence[Candidate], beyond: Seque
     rivals = [c for c in contenders if tests[c.name].large and c.gain_over(plain) > RIVAL * best.gain_over(plain)]
     leader = max(rivals or contenders, key=lambda c: c.merit)
     sound = [c for c in contenders if tests[c.name].large and tests[c.name].proven]
-    others = [
-        c for c in sound
-        if (_spares(c, leader, tests) if leader in sound
-            else _close(leader, c, CLOSE if c.gain_over(plain) > CLEAR * null.level(c.name) else CLOSER))
-    ]  # fmt: skip
+    if leader in sound:
+        others = [c for c in sound if _spares(c, leader, tests)]
+    else:
+        far = {c.name: CLOSE if c.gain_over(plain) > CLEAR * null.level(c.name) else CLOSER for c in sound}
+        others = [c for c in sound if _close(leader, c, far[c.name])]
     leader = max(others or [leader], key=lambda c: c.merit)
     gain, test = leader.gain_over(plain), tests[leader.name]
     ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(bench.narrow), gain, tests))

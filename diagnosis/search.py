@@ -159,15 +159,17 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
 
     What is wrong with the form of an effect hides others, and where contacts meet at other moments it hides everything.
     """
-    free = {f.name for f in stage.servo.free}
+    effect, old = find_effect(name), stage.fit
+    bending = {f"{name}.{short}" for short in effect.bending}
+    if bending & {f.name for f in stage.servo.free}:
+        return stage
     ends = []
-    for start in find_effect(name).form:
-        more = [f for f in freedom(name, start, stage.servo.limits) if f.name not in free]
-        servo, old = replace(stage.servo, free=(*stage.servo.free, *more)), stage.fit
+    for start in effect.form:
+        servo = replace(stage.servo, free=(*stage.servo.free, *freedom(name, start, stage.servo.limits)))
         values = {**old.values, **{f"{name}.{short}": value for short, value in start.items()}}
         begun = evaluate(stage.problem, old.simulator, servo.free, values, old.starts)
         # a coupling shows what its form is worth only when all of it has moved
-        if more and (find_effect(name).coupling or begun.total + promise(stage.problem, begun) > old.total + level):
+        if effect.coupling or begun.total + promise(stage.problem, begun) > old.total + level:
             fit = scanned(resume(stage.problem, begun, LONG), bench.left_by, servo.effects)
             ends.append(Stage(servo, stage.problem, rescored(stage.problem, fit)))
     if not ends:
@@ -176,10 +178,9 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
     fit = bench.settled(best.fit)
     problem = bench.left_by(fit)
     fit = resume(problem, fit)
-    bending = [f for f in best.servo.free if f.name not in free]
-    if any(f.stuck(fit.values[f.name]) for f in bending):
+    if any(f.stuck(fit.values[f.name]) for f in best.servo.free if f.name in bending):
         return stage
-    gained = fit.total - rescored(problem, stage.fit).total
+    gained = fit.total - rescored(problem, old).total
     return Stage(best.servo, problem, fit) if gained > max(SURE * level, FORMED) else stage
 
 

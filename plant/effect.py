@@ -34,6 +34,14 @@ VIEWS = {  # where a residual torque can live
 }
 
 
+FLAT = 1e-9  # what is less has no logarithm
+
+
+def power(x: SX, exponent: SX) -> SX:
+    """Return |x|^exponent, whose derivative by the exponent exists at x = 0 too."""
+    return ca.exp(exponent * ca.log(ca.fmax(ca.fabs(x), FLAT)))
+
+
 @dataclass(frozen=True)
 class Context:
     """What a slot sees: its own parameters and states as p.amplitude, the servo's as p.J; position and velocity of the

@@ -7,10 +7,9 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Coupling, Effect, Evidence
+from bristle.plant.effect import Context, Coupling, Effect, Evidence, power
 
 DEPTH = 1e-3  # rad: deformation of the contact at which its torque does not depend on the exponent
-FLAT = 1e-9  # of it: less has no logarithm
 
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
@@ -21,7 +20,7 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
     """
     half = c.p.play / 2
     press = twist - ca.fmin(ca.fmax(twist, -half), half)
-    bent = ca.exp((c.p.exponent - 1) * ca.log(ca.fmax(ca.fabs(press) / DEPTH, FLAT)))
+    bent = power(press / DEPTH, c.p.exponent - 1)
     return Coupling(c.p.share, c.p.stiffness * press * bent * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)))
 
 

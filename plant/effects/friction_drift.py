@@ -17,8 +17,9 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
     Source: armstrong1994 (friction varies with time and temperature; a first-order lag of what it settles to).
     """
     x = c.p.settling * c.time
-    line = ca.if_else(ca.fabs(x) < SMALL, 1 - x / 2 + x * x / 6, (1 - ca.exp(-x)) / ca.if_else(ca.fabs(x) < SMALL, 1, x))
-    value = ca.fmax(1 + c.p.rate * c.time * line, 0)
+    straight = ca.fabs(x) < SMALL
+    lag = ca.if_else(straight, 1 - x / 2 + x * x / 6, (1 - ca.exp(-x)) / ca.if_else(straight, 1, x))
+    value = ca.fmax(1 + c.p.rate * c.time * lag, 0)
     return value, value
 
 

@@ -8,7 +8,9 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import Context, Effect, Evidence, power
+
+DEPTH = 0.1  # rad: where the torque does not depend on the exponent
 
 
 def torque(c: Context) -> ca.SX:
@@ -17,12 +19,9 @@ def torque(c: Context) -> ca.SX:
     Source: acary2008 (unilateral contact with a spring in place of the constraint), hunt1975 (a power of the depth).
     """
     press = ca.fmax(c.p.lower - c.theta, 0) - ca.fmax(c.theta - c.p.upper, 0)
-    bent = ca.exp((c.p.exponent - 1) * ca.log(ca.fmax(ca.fabs(press) / DEPTH, FLAT)))
-    return ca.SX(c.p.stiffness * press * bent)
+    return ca.SX(c.p.stiffness * press * power(press / DEPTH, c.p.exponent - 1))
 
 
-DEPTH = 0.1  # rad: how deep the torque does not depend on the exponent
-FLAT = 1e-9  # of it: less has no logarithm
 SHARES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # of the time that a stop may be reached
 
 

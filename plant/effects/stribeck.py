@@ -6,9 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
-
-FLAT = 1e-9  # of the Stribeck velocity: less has no logarithm
+from bristle.plant.effect import Context, Effect, Evidence, power
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -16,8 +14,7 @@ def factor(c: Context) -> tuple[ca.SX, ca.SX]:
 
     Source: armstrong1994 (Stribeck curve: Gaussian for n = 2, exponential for n = 1).
     """
-    power = ca.exp(c.p.exponent * ca.log(ca.fmax(ca.fabs(c.v / c.p.speed), FLAT)))
-    value = 1 + c.p.excess * ca.exp(-power)
+    value = 1 + c.p.excess * ca.exp(-power(c.v / c.p.speed, c.p.exponent))
     return value, value
 
 

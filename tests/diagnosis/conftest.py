@@ -102,19 +102,20 @@ class Case:
 
 
 @pytest.fixture(scope="session")
-def case(measured: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> Callable[[str | None], Case]:
-    """Return what makes the case of an effect, each once."""
-    made: dict[str | None, Case] = {}
+def case(measured: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> Callable[..., Case]:
+    """Return what makes the case of an effect (with `given` parameters, as of `measured`), each once."""
+    made: dict[tuple[Any, ...], Case] = {}
 
-    def of(name: str | None) -> Case:
-        if name not in made:
+    def of(name: str | None, **given: float) -> Case:
+        key = (name, *sorted(given.items()))
+        if key not in made:
             model = Model.from_dict(TREE | {"parameters": OFF})
-            runs = {seed: measured(name, seed) if name else measured(seed=seed, plain=1) for seed in (1, 2)}
+            runs = {seed: measured(name, seed, **given) if name else measured(seed=seed, plain=1) for seed in (1, 2)}
             n = round(SECONDS / H)
             records = records_from_arrays(model, [(f"run {k}", t[:n], u[:n], y[:n]) for k, (t, u, y, _) in runs.items()])
             bench = bench_of(model, records)
-            made[name] = Case(model, records, bench, settle(bench, *base_of(model, bench)))
-        return made[name]
+            made[key] = Case(model, records, bench, settle(bench, *base_of(model, bench)))
+        return made[key]
 
     return of
 

@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.diagnosis import intervals, records_from_arrays
-from bristle.diagnosis.bench import HELD, settle
+from bristle.diagnosis import intervals
+from bristle.diagnosis.bench import HELD
 from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, beside, standing
 from bristle.diagnosis.candidates import Test as Worth
 from bristle.diagnosis.fit import Free
 from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged
 from bristle.diagnosis.null import Null
-from bristle.diagnosis.prepare import base_of, bench_of
+from bristle.diagnosis.prepare import base_of
 from bristle.diagnosis.search import amiss, considered, extend, look, mends_form, search, worth_adding
 from bristle.diagnosis.size import acting_fall, fall
 from bristle.diagnosis.views import FLIPS, line_p
@@ -168,20 +168,6 @@ def quiet(text, share):
     """Tell nobody how far it is."""
 
 
-@pytest.fixture(scope="module")
-def begun(case, measured):
-    """Return what gives (bench, base) of two records of 8 s with an effect of given parameters."""
-
-    def of(name, **given):
-        model, n = case(name).model, round(8.0 / 1e-3)
-        runs = [measured(name, seed, **given)[:3] for seed in (1, 2)]
-        records = records_from_arrays(model, [(f"run {k}", *(x[:n] for x in run)) for k, run in enumerate(runs)])
-        bench = bench_of(model, records)
-        return bench, settle(bench, *base_of(model, bench))
-
-    return of
-
-
 FORMS = {
     "compliance": {"hardening": 3000.0}, "backlash": {"exponent": 1.5}, "stribeck": {"exponent": 1.0},
     "hard_stop": {"exponent": 2.0}, "friction_drift": {"rate": 0.2, "settling": 0.5}, "gravity": {"sine2": 0.2, "cosine2": -0.2},
@@ -190,15 +176,15 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", list(FORMS))
-def test_the_form_of_an_effect_is_fitted_once_it_is_named(begun, name):
+def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
     """And only where the records call for it; what is left then is what the right form leaves."""
     bending = effect(name).bending
     usual = {short: value for short, value in FORMS[name].items() if short not in bending}
     ends = []
     for given in (usual, FORMS[name]):
-        bench, base = begun(name, **given)
-        verdict = look(bench, base, [name], quiet)
-        ends.append(extend(base, bench, verdict.candidates[0], verdict.null.level(name)).fit)
+        made = case(name, **given)
+        verdict = look(made.bench, made.base, [name], quiet)
+        ends.append(extend(made.base, made.bench, verdict.candidates[0], verdict.null.level(name)).fit)
     assert not {f"{name}.{short}" for short in bending} & {f.name for f in ends[0].free}
     for short in bending:
         assert ends[1].values[f"{name}.{short}"] == pytest.approx(FORMS[name][short], rel=0.25)
@@ -215,9 +201,10 @@ def test_every_form_is_tried():
         ("backlash", {"share": 0.3, "play": 0.04, "stiffness": 350.0, "dissipation": 2.3}),
     ],
 )
-def test_what_few_steps_do_not_reach_is_found_with_patience(begun, name, given):
+def test_what_few_steps_do_not_reach_is_found_with_patience(case, name, given):
     """A shaft and a contact that two starts of few steps miss by thousands of nats; the model is seen to be far off."""
-    bench, base = begun(name, **given)
+    made = case(name, **given)
+    bench, base = made.bench, made.base
     assert considered(bench, base, [name], None, quiet, HASTY)[1]
     assert amiss(bench, base)
     verdict, why = considered(bench, base, [name], None, quiet, PATIENT)
@@ -231,9 +218,10 @@ def test_a_model_that_lacks_nothing_is_not_far_off(case):
     assert not amiss(made.bench, made.base)
 
 
-def test_an_effect_is_refused_only_after_its_other_form_was_tried(begun, monkeypatch):
+def test_an_effect_is_refused_only_after_its_other_form_was_tried(case, monkeypatch):
     """A disc with a second harmonic: made too small by hand, the usual form is refused, the other one named."""
-    bench, base = begun("eccentric_encoder", **FORMS["eccentric_encoder"])
+    made = case("eccentric_encoder", **FORMS["eccentric_encoder"])
+    bench, base = made.bench, made.base
 
     def judge(bench, stage, tried, beyond, null):
         verdict = judged(bench, stage, tried, beyond, null)

@@ -423,6 +423,16 @@ DRY_FORMS = {
 }  # fmt: skip
 
 
+def follows(name, parameters, rates):
+    u = levels(1.5)[:900]  # never weaker than friction
+    record, _ = Native(lean(name), parameters | {"solver.friction_step": 1e-5}).run(H, {"u": u}, ["theta", "v"])
+    expected, without = (solve(each, 2, 1.5, LEVELS[:2]) for each in (rates, dry(lambda t, th, v, u: FC)))
+    size = np.ptp(expected, axis=0)
+    assert np.all(np.abs(record - expected) <= 2e-4 * size)
+    assert np.max(np.abs(expected - without) / size) > 2e-2
+    assert np.min(expected[:, 1]) < 0 < np.max(expected[:, 1])
+
+
 @pytest.mark.parametrize("name", list(COULOMB))
 def test_motion_with_dry_friction_follows_the_equation(name):
     parameters, rates = COULOMB[name]
@@ -450,16 +460,6 @@ def test_a_drift_that_hardly_settles_is_a_straight_line():
     size = np.ptp(records[0], axis=0)
     assert 0 < np.max(np.abs(records[1] - records[0]) / size) < 2e-4
     assert np.max(np.abs(records[2] - records[1]) / size) < 1e-5
-
-
-def follows(name, parameters, rates):
-    u = levels(1.5)[:900]  # never weaker than friction
-    record, _ = Native(lean(name), parameters | {"solver.friction_step": 1e-5}).run(H, {"u": u}, ["theta", "v"])
-    expected, without = (solve(each, 2, 1.5, LEVELS[:2]) for each in (rates, dry(lambda t, th, v, u: FC)))
-    size = np.ptp(expected, axis=0)
-    assert np.all(np.abs(record - expected) <= 2e-4 * size)
-    assert np.max(np.abs(expected - without) / size) > 2e-2
-    assert np.min(expected[:, 1]) < 0 < np.max(expected[:, 1])
 
 
 @pytest.mark.parametrize(("name", "damping"), [("presliding", 0.0), ("bristle_damping", 0.02)])
