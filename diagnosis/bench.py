@@ -144,7 +144,7 @@ class Stage:
 def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
     """Fit a servo and its noise in turn, from given values."""
     simulator, starts, judged = servo.simulator(bench.segments), bench.segments.starts, bench.train
-    seen, _, good = simulator.run(values, starts)
+    seen, _, good, _ = simulator.run(values, starts)
     residual = np.where(good[:, None], bench.segments.seen - seen, 0.0)
     noise = bench.noise(residual, (judged & good).astype(float), values)
     fit = refit(bench.problem(noise, judged), simulator, servo.free, values, starts, LONG, enough=ROUGH)

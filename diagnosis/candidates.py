@@ -8,7 +8,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.fit import ITERATIONS, ROUGH, Fit, Free, Problem, evaluate, promise, rescored, resume
+from bristle.diagnosis.fit import (
+    EASE,
+    ITERATIONS,
+    ROUGH,
+    STARTS,
+    Fit,
+    Free,
+    Problem,
+    eased,
+    evaluate,
+    laid,
+    promise,
+    rescored,
+    resume,
+)
 from bristle.diagnosis.lens import Lens, Motion
 from bristle.diagnosis.null import directions
 from bristle.diagnosis.segments import Segments, Simulator
@@ -26,10 +40,11 @@ CLIMBS = 4  # as often at most steps are taken, as long as they gain half of wha
 STILL = (-20.0, 2.0)  # nats that a start promises over the model without the effect: it does nothing there, and steps found none
 # (of 396 such starts of 34 records none led to the effect that was named, and 4 beyond chance)
 WAVES = 8  # finalists among waves of several periods where the model is far off: what one step promises says little there
+LAID = 5  # starts of a contact whose load is laid at its best places before they are compared
 TRIES = 6  # values for each parameter of a rugged effect that are tried around where it stands,
 SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread by such factors, round by round,
 BETTER = 5.0  # if that gains so many nats
-NEAR = 300.0  # nats below the model without it: from there on, a contact is not tried around its starts
+LAYINGS = 6  # times at most that a loose load is laid anew and all parameters refitted in turn
 LIMITS = {  # closer than what can be simulated: what a servo may have
     "stribeck.excess": (0.0, 100.0),
     "compliance.share": (0.02, 0.9),
@@ -42,18 +57,16 @@ LIMITS = {  # closer than what can be simulated: what a servo may have
 class Effort:
     """How far candidates are followed.
 
-    `starts` from which steps are taken, `steps` at a time; `around`: ends of contacts that are tried around; `all`: starts
-    that promise nothing too.
+    `starts` from which steps are taken, `steps` at a time; `all`: starts that promise nothing too.
     """
 
     starts: int
     steps: int
-    around: int
     all: bool
 
 
-HASTY = Effort(2, 2, 1, False)
-PATIENT = Effort(14, 25, 4, True)  # (a compliance: 804 nats below at its start, 6 below after 12 steps, 1479 above after 20)
+HASTY = Effort(2, 2, False)
+PATIENT = Effort(14, 25, True)  # (a compliance: 804 nats below at its start, 6 below after 12 steps, 1479 above after 20)
 
 RIGID = "bristle_damping"  # friction of a real servo bends a little before it slides: part of every model here
 ELASTIC = ("presliding", "bristle_damping")  # effects that bend more than the sensor can overlook
@@ -168,9 +181,8 @@ def freedom(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[fl
 
 
 def contact(name: str) -> bool:
-    """True for a coupling that switches: two runs of a loose load differ, and its likelihood has many small maxima."""
-    effect = find_effect(name)
-    return effect.rugged and effect.coupling is not None
+    """True for a coupling with a load that can move by itself: no two runs of it are the same."""
+    return bool(find_effect(name).loose)
 
 
 def starts(name: str, e: Evidence) -> list[dict[str, float]]:
@@ -213,12 +225,12 @@ def explore(
     except BristleError as error:
         return Candidate(name, None, refused=str(error))
     defaults = {p.name: p.default for p in find_effect(name).parameters} | idle(name)
-    trials, banks, own = [], [], servo.own(name)
+    trials, banks, own, ease = [], [], servo.own(name), EASE if fit.simulator.loose else 0
     for start in (*starts(name, e), *standing(servo, name, fit)):
         free = freedom(name, start, servo.limits)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
         values |= {f.name: f.inside(values[f.name]) for f in free}
-        first = evaluate(problem, simulator, (*own, *free), values, fit.starts)
+        first = eased(problem, evaluate(problem, simulator, (*own, *free), values, fit.starts), ease)
         banks.append(_bank(lens, fit, first, len(free)))
         trials.append(_worth(first, quiet))
     for together, moving in joint:
@@ -228,8 +240,11 @@ def explore(
         for others, begin in ((dict(together), problem.starts), (alone, fit.starts)):
             whole = {**defaults, **fit.values, **others}
             inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
-            trials.append(_worth(evaluate(problem, simulator, (*own, *free), whole | inside, begin), quiet))
+            first = evaluate(problem, simulator, (*own, *free), whole | inside, begin)
+            trials.append(_worth(eased(problem, first, ease), quiet))
     trials.sort(key=lambda trial: -trial[0])
+    if contact(name):  # which of them is near the truth shows only when the load lies where it may
+        trials = sorted((_worth(laid(problem, fit), quiet) for _, fit in trials[:LAID]), key=lambda trial: -trial[0])
     (promised, best), *rest = trials[: max(effort.starts, WAVES if far and f"{name}.periods" in defaults else 0)]
     return Candidate(name, best, tuple(banks), promised, tuple(fit for _, fit in rest))
 
@@ -241,27 +256,30 @@ def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
     return fit.total + promise(problem, fit), fit
 
 
-def advance(
-    candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Callable[[Fit], Problem], least: float, effort: Effort
-) -> Candidate:
+def _reached(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
+    """Return what steps have led to as `_worth` does; with a loose load, where a step promises what none can keep, without it."""
+    promised, fit = _worth(fit, quiet)
+    return fit.total if fit.simulator.loose else promised, fit
+
+
+def advance(candidate: Candidate, quiet: Callable[[Fit], Problem], least: float, effort: Effort) -> Candidate:
     """Take steps from each of the most promising starts and stand at the better end; one start does where none promises much.
 
     What does nothing where it starts stays there, unless it switches.
     """
-    if not effort.all and not find_effect(candidate.name).rugged and STILL[0] < candidate.promised - least < STILL[1]:
+    switches = find_effect(candidate.name).rugged or contact(candidate.name)
+    if not effort.all and not switches and STILL[0] < candidate.promised - least < STILL[1]:
         return replace(candidate, rivals=())
-    several = candidate.rivals if effort.all or candidate.promised > least else ()
-    ends = [_worth(_climbed(t, quiet, least, effort.steps), quiet) for t in (candidate.fit, *several) if t]
+    several = candidate.rivals if effort.all or candidate.promised > least or contact(candidate.name) else ()
+    climbs = 1 if contact(candidate.name) else CLIMBS
+    ends = [_reached(_climbed(t, quiet, least, effort.steps, climbs), quiet) for t in (candidate.fit, *several) if t]
     ends.sort(key=lambda end: -end[0])
-    if contact(candidate.name):  # hardly a start is near enough
-        near = [fit for promised, fit in ends[: effort.around] if promised > least - NEAR]
-        ends += [_worth(scanned(fit, left_by, (candidate.name,), SPREADS[:1]), quiet) for fit in near]
     promised, fit = max(ends, key=lambda end: end[0])
     return replace(candidate, fit=fit, promised=promised, rivals=())
 
 
 def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Callable[[Fit], Problem]) -> Candidate:
-    """Refit a candidate from where it stands; a rugged one under the noise that it leaves (`left_by`), which matters then."""
+    """Refit a candidate from where it stands; what switches under the noise that it leaves (`left_by`), which matters then."""
     if candidate.fit is None:
         return candidate
     fit = scanned(_refitted(candidate.fit, quiet, ITERATIONS), left_by, (candidate.name,))
@@ -273,17 +291,33 @@ def rugged(fit: Fit, effects: Collection[str]) -> list[Free]:
     return [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
 
 
-def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str], spreads: Sequence[float] = SPREADS) -> Fit:
+def relaid(fit: Fit, quiet: Callable[[Fit], Problem]) -> Fit:
+    """Refit with a loose load laid anew at the start of each segment, as long as that helps; the same fit without such a load.
+
+    Where it lies is another thing for other parameters, and there is no way between either side by derivatives.
+    """
+    for _ in range(LAYINGS if fit.simulator.loose else 0):
+        problem = quiet(fit)
+        fit = rescored(problem, fit)
+        new = rescored(problem, _refitted(laid(problem, fit, STARTS), quiet, ITERATIONS))
+        if new.total < fit.total + BETTER:
+            break
+        fit = new
+    return fit
+
+
+def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str]) -> Fit:
     """Refit from the best of values around where a fit stands, as long as that helps, for the effects that need it.
 
-    What switches, such as a contact, does so at other times as soon as a parameter moves: the likelihood has many small
-    maxima, at which steps along derivatives end.
+    What switches does so at other times as soon as a parameter moves: the likelihood has many small maxima, at which
+    steps along derivatives end.
     """
+    fit = relaid(fit, quiet)
     own = rugged(fit, effects)
     if not own:
         return fit
     rng = np.random.default_rng(1)
-    for spread in spreads:
+    for spread in SPREADS:
         problem = quiet(fit)
         fit = best = rescored(problem, fit)
         for step in spread * rng.standard_normal((TRIES * len(own), len(own))):
@@ -296,9 +330,9 @@ def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str], s
     return rescored(quiet(fit), fit)
 
 
-def _climbed(fit: Fit, quiet: Callable[[Fit], Problem], least: float, steps: int) -> Fit:
+def _climbed(fit: Fit, quiet: Callable[[Fit], Problem], least: float, steps: int, climbs: int) -> Fit:
     """Return where steps lead from a start, so many at a time, as far as they promise to reach `least` [nats]."""
-    for _ in range(CLIMBS):
+    for _ in range(climbs):
         start, fit = fit.total, _refitted(fit, quiet, steps)
         if not 0 < least - fit.total < 2 * (fit.total - start):
             break

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ ENOUGH = 0.05  # nats: a fit ends when the next step promises less
 ROUGH = 0.5  # the same where candidates are compared only
 ITERATIONS = 15
 STARTS = 5  # steps of start states alone
+EASE = 2  # of them that follow each step of the parameters, where a load is loose
+HALF = 0.5  # of what a step promised: less calls for these
+SIDES = (-1.0, 0.0, 1.0)  # of the play, where a loose load is looked for
 PATIENCE = 3  # steps in a row that gain nothing
 WILD = 1e12  # outputs and derivatives beyond this, or none, are those of a simulation that failed
 FAILED = 1e6  # squared misfit of a segment whose simulation failed
@@ -62,11 +66,11 @@ class Begin:
 
     Attributes
     ----------
-    by_start : ndarray, shape (segments, bins, 2)
+    by_start : ndarray, shape (segments, bins, width)
         Derivatives of the whitened averages.
-    pull : ndarray, shape (segments, 2)
+    pull : ndarray, shape (segments, width)
         Gradient of the log-likelihood, what is known of start states included.
-    inverse : ndarray, shape (segments, 2, 2)
+    inverse : ndarray, shape (segments, width, width)
         Inverse of their curvature.
 
     Source: golub2003 (elimination of linear unknowns).
@@ -81,16 +85,17 @@ class Begin:
         """Return it for a whitened residual (segments, bins); start states are known to lie `offset` from where they are."""
         turned = by_start.transpose(0, 2, 1)
         normal = np.matmul(turned, by_start)
-        normal[:, [0, 1], [0, 1]] = normal[:, [0, 1], [0, 1]] * (1 + APART) + precision
+        each = np.arange(by_start.shape[2])
+        normal[:, each, each] = normal[:, each, each] * (1 + APART) + precision
         pull = np.matmul(turned, white[:, :, None])[:, :, 0] + precision * offset
         return cls(by_start, pull, np.linalg.inv(normal))
 
     def cross(self, columns: Array) -> Array:
-        """Return the products (segments, 2, k) with whitened columns (segments, bins, k)."""
+        """Return the products (segments, width, k) with whitened columns (segments, bins, k)."""
         return np.asarray(np.matmul(self.by_start.transpose(0, 2, 1), columns))
 
     def moves(self, pull: Array) -> Array:
-        """Return the step of the start states (segments, 2) that a gradient (segments, 2) calls for."""
+        """Return the step of the start states (segments, width) that a gradient (segments, width) calls for."""
         return np.asarray(np.matmul(self.inverse, pull[:, :, None])[:, :, 0])
 
     def freed(self, columns: Array) -> Array:
@@ -108,8 +113,8 @@ class Fit:
         All parameters that were set, SI.
     free : tuple of Free
         Those that were fitted.
-    starts : ndarray, shape (segments, 2)
-        Start states.
+    starts : ndarray, shape (segments, width)
+        Start states, as many as the simulator has.
     score : ndarray, shape (segments,)
         Log-likelihood of each segment [nats], start states eliminated; 0 for segments that are not judged.
     here : ndarray, shape (segments,)
@@ -120,7 +125,7 @@ class Fit:
         Whitened residual (segments, bins), and its derivatives (segments, bins, free).
     begin : Begin
         What the start states can do.
-    raw_by_start : ndarray, shape (segments, bins, 2)
+    raw_by_start : ndarray, shape (segments, bins, width)
         Derivative of the averages by the start states.
     weight : ndarray, shape (segments,)
         Weight of each segment in the least squares; 0 where it is not judged.
@@ -177,10 +182,15 @@ class Problem:
         """Return the same with other segments judged."""
         return replace(self, judged=mask)
 
+    def known(self, simulator: Simulator, values: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return what is known of all start states of a simulator (segments, width), and their doubt."""
+        unknown = np.tile(simulator.unknown(values), (len(self.starts), 1))
+        return np.hstack([self.starts, np.zeros_like(unknown)]), np.hstack([self.spread, unknown])
+
 
 def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], values: dict[str, float], starts: Array) -> Fit:
     """Simulate and return where it stands, without moving anything."""
-    seen, sens, good = simulator.run(values, starts, jacobian=True)
+    seen, sens, good, starts = simulator.run(values, starts, jacobian=True)
     assert sens is not None
     good = good & (np.abs(seen).max(axis=1) < WILD) & (np.abs(sens).max(axis=(1, 2)) < WILD)
     residual = np.where(good[:, None], problem.seen - seen, 0.0)
@@ -188,8 +198,8 @@ def evaluate(problem: Problem, simulator: Simulator, free: tuple[Free, ...], val
     index = [simulator.names.index(f.name) for f in free]
     scale = np.array([values[f.name] if f.factor else 1.0 for f in free])
     both = np.matmul(problem.noise.whiten, sens)
-    by_parameter, by_start = both[:, :, index] * scale, both[:, :, -2:]
-    return _scored(problem, simulator, free, values, starts, residual, by_parameter, by_start, sens[:, :, -2:], good)
+    by_parameter, by_start, raw = both[:, :, index] * scale, both[:, :, -simulator.width :], sens[:, :, -simulator.width :]
+    return _scored(problem, simulator, free, values, starts, residual, by_parameter, by_start, raw, good)
 
 
 def rescored(problem: Problem, fit: Fit) -> Fit:
@@ -214,14 +224,16 @@ def _scored(
     good: Mask,
 ) -> Fit:
     white = residual @ problem.noise.whiten.T
-    precision, offset = problem.spread**-2, problem.starts - starts
+    known, doubt = problem.known(simulator, values)
+    precision, offset = doubt**-2, known - starts
     begin = Begin.of(by_start, white, precision, offset)
     whole = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
     left = np.maximum(whole - np.einsum("si,si->s", begin.pull, begin.moves(begin.pull)), 0.0)
     misfit = np.where(good, left, FAILED)
     n = white.shape[1] - 2
+    cost = 0.5 * problem.noise.log_det + paid_for_starts(begin, precision) * good
     score, here = (
-        -0.5 * (FREEDOM + n) * np.log1p(each / FREEDOM) - 0.5 * problem.noise.log_det
+        -0.5 * (FREEDOM + n) * np.log1p(each / FREEDOM) - cost
         for each in (misfit, np.where(good, whole, FAILED))
     )
     score = np.where(problem.judged, score, 0.0)
@@ -232,6 +244,16 @@ def _scored(
         values, free, starts, score, here, residual, white, by_parameter, begin, raw_by_start, weight,
         information + np.diag(curve), simulator, good, problem.noise, prior,
     )  # fmt: skip
+
+
+def paid_for_starts(begin: Begin, precision: Array) -> Array:
+    """Return what a segment pays for start states that no sensor shows (segments,) [nats]: they explain something by chance.
+
+    Source: mackay1992 (Occam factor: the doubt after over the doubt before, of a Gaussian).
+    """
+    hidden = slice(2, None)
+    after, before = np.linalg.slogdet(begin.inverse[:, hidden, hidden])[1], -np.log(precision[:, hidden]).sum(axis=1)
+    return np.asarray(0.5 * (before - after))
 
 
 def _place(free: Free, value: float) -> float:
@@ -303,12 +325,17 @@ def refit(
     """
     begin = {**values, **{f.name: f.inside(values[f.name]) for f in free}}
     fit, damping = first or evaluate(problem, simulator, free, begin, starts), problem.damping
-    trust, limit, failed = np.ones(len(starts)), 4 * problem.spread, 0
+    trust, failed = np.ones(len(starts)), 0
     for _ in range(iterations):
         step, back, promise = _direction(fit, damping)
-        around = np.clip(fit.starts + trust[:, None] * back, problem.starts - limit, problem.starts + limit)
-        trial = evaluate(problem, simulator, free, moved(free, fit.values, step), around)
-        gain = float((trial.here - fit.here)[problem.judged].sum()) + trial.prior - fit.prior
+        known, doubt = problem.known(simulator, fit.values)
+        around = np.clip(fit.starts + trust[:, None] * back, known - 4 * doubt, known + 4 * doubt)
+        values = moved(free, fit.values, step)
+        trial = evaluate(problem, simulator, free, values, around)
+        if simulator.loose and _gained(problem, fit, trial) < max(HALF * promise, enough):
+            still = evaluate(problem, simulator, free, values, fit.starts)
+            trial = eased(problem, _merged(problem, [still, trial], (trial.here > still.here).astype(int)), EASE)
+        gain = _gained(problem, fit, trial)
         trust = np.where(trial.here < fit.here, 0.25 * trust, np.minimum(2 * trust, 1.0))
         open_ = fit.total - fit.prior - float(fit.here[problem.judged].sum())  # what the start states promise beside
         failed = 0 if gain >= enough else failed + 1
@@ -321,10 +348,61 @@ def refit(
     return fit
 
 
+def _gained(problem: Problem, fit: Fit, trial: Fit) -> float:
+    """Return by how much a trial is likelier, each with its start states as they are [nats]."""
+    return float((trial.here - fit.here)[problem.judged].sum()) + trial.prior - fit.prior
+
+
 def begun_well(problem: Problem, fit: Fit) -> Fit:
     """Return a fit with the start states of the judged segments refitted and all parameters as they are."""
     still = evaluate(problem, fit.simulator, (), fit.values, fit.starts)
     return refit(problem, fit.simulator, (), fit.values, fit.starts, STARTS, still)
+
+
+def laid(problem: Problem, fit: Fit, steps: int = 0) -> Fit:
+    """Return a fit whose loose load lies, when a segment starts, where that segment is likeliest: here or at either side.
+
+    Each place is tried in all segments at once, after so many steps of the start states, or by what these promise;
+    parameters stay as they are.
+    """
+    if not fit.simulator.loose:
+        return fit
+    ends = [eased(problem, fit, steps)]
+    for side in SIDES:
+        starts = fit.starts.copy()
+        starts[:, 2:] = side, 0.0
+        ends.append(eased(problem, evaluate(problem, fit.simulator, fit.free, fit.values, starts), steps))
+    whole = problem.only(np.ones_like(problem.judged))
+    worth = [end.here if steps else rescored(whole, end).score for end in ends]
+    return _merged(problem, ends, np.argmax(worth, axis=0))
+
+
+def eased(problem: Problem, fit: Fit, steps: int) -> Fit:
+    """Return a fit after so many steps of the start states of all segments, each taken where it helps."""
+    trust = np.ones(len(fit.starts))
+    for _ in range(steps):
+        known, doubt = problem.known(fit.simulator, fit.values)
+        back = trust[:, None] * fit.begin.moves(fit.begin.pull)
+        around = np.clip(fit.starts + back, known - 4 * doubt, known + 4 * doubt)
+        trial = evaluate(problem, fit.simulator, fit.free, fit.values, around)
+        better = trial.here > fit.here
+        trust = np.where(better, np.minimum(2 * trust, 1.0), 0.25 * trust)
+        fit = _merged(problem, [fit, trial], better.astype(int))
+    return fit
+
+
+def _merged(problem: Problem, fits: Sequence[Fit], which: NDArray[np.int_]) -> Fit:
+    """Return the fit that each segment has in one of several with the same parameters."""
+
+    def picked(of: Callable[[Fit], NDArray[Any]]) -> NDArray[Any]:
+        return np.stack([of(fit) for fit in fits])[which, np.arange(len(which))]
+
+    first = fits[0]
+    return _scored(
+        problem, first.simulator, first.free, first.values, picked(lambda f: f.starts), picked(lambda f: f.residual),
+        picked(lambda f: f.by_parameter), picked(lambda f: f.begin.by_start), picked(lambda f: f.raw_by_start),
+        picked(lambda f: f.good),
+    )  # fmt: skip
 
 
 def resume(problem: Problem, fit: Fit, iterations: int = ITERATIONS, enough: float = ENOUGH) -> Fit:

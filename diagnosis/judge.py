@@ -97,7 +97,7 @@ def _plain(problem: Problem, stage: Stage, best: Candidate) -> Fit:
     """Return the servo without anything more, from where it stood and from where the best candidate has led it.
 
     Where a servo sticks and slips the likelihood has small maxima: what a candidate gains by leaving one is not its own. A
-    contact has so many that its parameters are tried around as well.
+    load that can move by itself makes so many that it is laid anew as well.
     """
     assert best.fit is not None
     old = stage.fit

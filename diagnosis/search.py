@@ -87,7 +87,7 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort:
         if name in bench.barred:
             return Candidate(name, None, refused=bench.barred[name])
         begun = explore(stage.problem, stage.servo, name, fit, lens, e, quiet, together(name), far, effort)
-        return advance(begun, quiet, bench.left_by, fit.total, effort) if begun.fit else begun
+        return advance(begun, quiet, fit.total, effort) if begun.fit else begun
 
     tried = []
     for i, name in enumerate(names):

@@ -17,7 +17,7 @@ from scipy.signal import savgol_coeffs
 from bristle.model.errors import SimulationError
 from bristle.model.native import Native, pointer
 from bristle.plant.effects import effect as find_effect
-from bristle.plant.servo import servo_program
+from bristle.plant.servo import LOAD_STARTS, servo_program
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,6 +27,9 @@ BINS = 50  # averages a segment: what is faster than 60 Hz in 0.4 s is the resol
 SMOOTH = 0.02  # s: half-width of the parabola that gives position and velocity at the start of a segment
 LEADERS = {"theta_load": "theta", "v_load": "v"}  # the far side of a coupling moves along when a segment starts anew
 STARTS = ("theta_start", "v_start")
+APART = tuple(p.name for p in LOAD_STARTS)  # of a load that can move by itself: how far it is behind, and how much slower
+COASTING = 0.3  # of the usual speed: how much slower a loose load usually is
+LEAST_PLAY = 1e-9  # rad
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,11 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
+def loose_by(effects: Sequence[str]) -> str:
+    """Return the parameter that says how far the load behind a coupling can move by itself, or nothing."""
+    return next((f"{name}.{find_effect(name).loose}" for name in effects if find_effect(name).loose), "")
+
+
 class Unstable(SimulationError):
     """A simulation that failed in most of its segments."""
 
@@ -126,6 +134,7 @@ class Unstable(SimulationError):
 @lru_cache(maxsize=256)  # four rounds of all effects
 def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...]) -> Native:
     wanted = [*base, *(p.name for name in effects for p in find_effect(name).parameters), *STARTS]
+    wanted += APART if loose_by(effects) else ()
     observed = "v" if velocity else "theta"
     program = servo_program(law, encoder=False, effects=effects, sensitivities=tuple(wanted), observed=observed)
     return Native(program)
@@ -152,10 +161,12 @@ class Simulator:
         self, law: str, effects: Sequence[str], segments: Segments, base: Sequence[str], fixed: Mapping[str, float]
     ) -> None:
         self.segments, self.effects = segments, tuple(effects)
+        self.loose = loose_by(effects)
+        self.width = len(STARTS) + (len(APART) if self.loose else 0)
         self._native = _compiled(law, tuple(sorted(effects)), segments.velocity, tuple(base))
         self._natives = [self._native, *(self._native.twin() for _ in segments.pieces[1:])]
         program = self._native.program
-        self.names = program.sensitivities[: -len(STARTS)]
+        self.names = program.sensitivities[: -self.width]
         self._v = np.array(program.starts)
         known = {"sample_time": segments.h, "solver.max_step": segments.h, **fixed}
         for name, value in known.items():
@@ -168,7 +179,12 @@ class Simulator:
         self._set = np.array([states.index(name) for name in chosen], dtype=np.int32)
         self._column = np.array([len(self.names) + (name == "v") for name in chosen], dtype=np.int32)
         self._leader = np.array([chosen.index(f) if f in chosen else -1 for f in follow], dtype=np.int32)
-        self._chosen = slice(1, 2) if segments.velocity else slice(0, 2)
+        self._chosen = slice(1 if segments.velocity else 0, self.width)
+        pairs = [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()] if self.loose else []
+        self._load, self._motor = (np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1))
+        self._apart = len(self.names) + len(STARTS) + np.arange(len(pairs), dtype=np.int32)
+        inputs, speeds = np.concatenate([piece.u for piece in segments.pieces]), segments.starts[:, 1]
+        self._usual_u, self._usual_v = (float(np.sqrt(np.mean(np.square(x)))) for x in (inputs, speeds))
         self._input = np.array([program.index["u"]], dtype=np.int32)
         self._observed = program.index["v" if segments.velocity else "theta"]
 
@@ -181,31 +197,72 @@ class Simulator:
                 other._v[index[name]] *= factor
         return other
 
-    def run(self, values: Mapping[str, float], starts: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask]:
-        """Simulate all segments from the given states (segments, 2).
+    def unknown(self, values: Mapping[str, float]) -> Array:
+        """Return the standard deviations (width - 2,) of the start states that no sensor shows; all are about zero.
+
+        A load may be anywhere within its play, and beyond it as far as the usual torque bends the contact.
+        """
+        if not self.loose:
+            return np.empty(0)
+        bend = abs(values["b"]) * self._usual_u / self._value(f"{self.loose.split('.')[0]}.stiffness", values)
+        return np.array([1.0 + bend / self._half(values), COASTING * self._usual_v + 1e-9])
+
+    def _half(self, values: Mapping[str, float]) -> float:
+        return max(0.5 * self._value(self.loose, values), LEAST_PLAY)
+
+    def _value(self, name: str, values: Mapping[str, float]) -> float:
+        return float(values.get(name, self._v[self._native.program.index[name]]))
+
+    def run(
+        self, values: Mapping[str, float], starts: Array, jacobian: bool = False
+    ) -> tuple[Array, Array | None, Mask, Array]:
+        """Simulate all segments from the given states (segments, width): position, velocity and, of a load that can move by
+        itself, how far it is behind (over half the play) and how much slower.
+
+        Where the latter are left out or no numbers, the load carries on from the segment before.
 
         Returns
         -------
         seen : ndarray, shape (segments, bins)
             Averages of the output.
-        derivatives : ndarray, shape (segments, bins, len(names) + 2), or None
-            By the parameters and by the two start states.
+        derivatives : ndarray, shape (segments, bins, len(names) + width), or None
+            By the parameters and by the start states.
         good : ndarray of bool, shape (segments,)
             False where the simulation failed; values there mean nothing.
+        starts : ndarray, shape (segments, width)
+            The start states as they were.
         """
         pieces = self.segments.pieces
-        begins = np.split(starts, np.cumsum([len(piece.seen) for piece in pieces])[:-1])
+        given = np.full((len(starts), self.width), np.nan)
+        given[:, : starts.shape[1]] = starts[:, : self.width]
+        begins = np.split(self._in_units(given, values), np.cumsum([len(piece.seen) for piece in pieces])[:-1])
         together = _pool().map if len(pieces) > 1 else map  # records do not depend on each other
 
-        def one(native: Native, piece: Piece, begin: Array) -> tuple[Array, Array, Mask]:
+        def one(native: Native, piece: Piece, begin: Array) -> tuple[Array, Array, Mask, Array]:
             return self._piece(native, piece, values, begin, jacobian)
 
-        seen, sens, good = zip(*together(one, self._natives, pieces, begins), strict=True)
-        return np.concatenate(seen), np.concatenate(sens) if jacobian else None, np.concatenate(good)
+        found = [np.concatenate(parts) for parts in zip(*together(one, self._natives, pieces, begins), strict=True)]
+        seen, sens, good, begun = found
+        if self.loose:
+            self._over_play(values, begun, sens if jacobian else None)
+        return seen, sens if jacobian else None, good, begun
+
+    def _in_units(self, starts: Array, values: Mapping[str, float]) -> Array:
+        if self.loose:
+            starts[:, 2] *= self._half(values)
+        return starts
+
+    def _over_play(self, values: Mapping[str, float], starts: Array, sens: Array | None) -> None:
+        """Put a load's place over half the play in place of its place, so that it stays in contact when the play changes."""
+        half, place = self._half(values), len(self.names) + 2
+        starts[:, 2] /= half
+        if sens is not None:
+            sens[:, :, self.names.index(self.loose)] += 0.5 * sens[:, :, place] * starts[:, 2, None]
+            sens[:, :, place] *= half
 
     def _piece(
         self, native: Native, piece: Piece, values: Mapping[str, float], starts: Array, jacobian: bool
-    ) -> tuple[Array, Array, Mask]:
+    ) -> tuple[Array, Array, Mask, Array]:
         library, bins = native.library, self.segments.bins
         v, n = self._v.copy(), len(piece.seen)
         for name, value in values.items():
@@ -217,13 +274,15 @@ class Simulator:
         v[native.program.index["v_start"]] = starts[0, 1]
         native.initialise(v, piece.time)
         seen = np.empty((n, bins))
-        sens = np.empty((n, bins, len(self.names) + 2)) if jacobian else np.empty((n, 0, 0))
+        sens = np.empty((n, bins, len(self.names) + self.width)) if jacobian else np.empty((n, 0, 0))
         good = np.empty(n, dtype=np.uint8)
+        begun = starts.copy()
         chosen = np.ascontiguousarray(starts[:, self._chosen])
         library.batch_segments(
             native.core, ctypes.c_longlong(n), bins, self.segments.width, ctypes.c_double(self.segments.h), 1,
             pointer(self._input), pointer(piece.u), len(self._set), pointer(self._set), pointer(self._column),
-            pointer(self._leader), pointer(chosen), self._observed, pointer(seen), pointer(sens) if jacobian else None,
-            pointer(good),
+            pointer(self._leader), pointer(chosen), len(self._load), pointer(self._load), pointer(self._motor),
+            pointer(self._apart), self._observed, pointer(seen), pointer(sens) if jacobian else None, pointer(good),
         )  # fmt: skip
-        return seen, sens, good.astype(bool)
+        begun[:, self._chosen] = chosen
+        return seen, sens, good.astype(bool), begun

@@ -12,7 +12,7 @@ from bristle.observer import methods
 from bristle.plant.effect import VIEWS
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws
-from bristle.plant.servo import servo_program
+from bristle.plant.servo import LOAD_STARTS, servo_program
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("model", "plant", "observer", "fmus", "harness", "diagnosis")
@@ -51,6 +51,7 @@ def parameters_page() -> str:
         if law.parameters:
             text += ["", f"## Law `{law.name}`: {law.description}", "", *table(list(law.parameters))]
     text += effects_text()
+    text += ["", "### Every effect with a second inertia", "", *table(list(LOAD_STARTS))]
     for method in methods().values():
         heading = f"## Observer `{method.name}`: {method.description}"
         text += ["", heading, "", f"Reads `u` and `{method.reads}`.", "", *table(list(method.parameters))]

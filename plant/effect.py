@@ -131,6 +131,8 @@ class Effect:
         True if it only acts beyond a limit, so that it may show in a few stretches of a record.
     rugged : bool
         True if it switches, so that a fit along derivatives ends at one of many small maxima.
+    loose : str
+        Of a coupling: its parameter, by a short name, that says how far the load can move by itself.
     form : tuple of mapping
         Parameters, by short names, that bend its form and do nothing at their defaults: a fit frees them last, from each of
         these values.
@@ -173,6 +175,7 @@ class Effect:
     rank: int = 0
     local: bool = False
     rugged: bool = False
+    loose: str = ""
     load_side: bool = False
     form: tuple[Mapping[str, float], ...] = ()
     states: tuple[State, ...] = ()

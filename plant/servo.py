@@ -27,6 +27,13 @@ A2 = Parameter("a2", "alpha2", "N.m.s/rad", 0.002, 0.0, 1e6, "viscous friction",
 U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage the drive can give", "dixit2008 section IV-A")
 THETA_START = Parameter("theta_start", "theta0", "rad", 0.0, -1e6, 1e6, "position at the start", "dixit2008 eq. (7)")
 V_START = Parameter("v_start", "v0", "rad/s", 0.0, -1e4, 1e4, "velocity at the start", "dixit2008 eq. (7)")
+TWIST_START = Parameter(
+    "twist_start", "e0", "rad", 0.0, -1e6, 1e6, "how far the load is behind the motor at the start", "spong2006 chapter 6"
+)
+TWISTING_START = Parameter(
+    "twisting_start", "w0", "rad/s", 0.0, -1e4, 1e4, "how much slower the load is at the start", "spong2006 chapter 6"
+)
+LOAD_STARTS = (TWIST_START, TWISTING_START)  # of a servo with a second inertia
 COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
 
 
@@ -116,8 +123,10 @@ def _bodies(system: System, work: Effects, j: SX, motor: SX, tau_load: SX) -> tu
     theta, v = system.symbols["theta"], system.symbols["v"]
     if not work.coupled:
         return work.torque(work.torque(motor + tau_load, False, theta, v), True, theta, v), j
-    theta_load = system.state(State("theta_load", "rad", "position of the load", initial=system.symbols["theta_start"]))
-    v_load = system.state(State("v_load", "rad/s", "velocity of the load", initial=system.symbols["v_start"]))
+    behind, slower = (system.symbols["theta_start"], TWIST_START), (system.symbols["v_start"], TWISTING_START)
+    at, speed = (start - system.parameter(less) for start, less in (behind, slower))
+    theta_load = system.state(State("theta_load", "rad", "position of the load", initial=at))
+    v_load = system.state(State("v_load", "rad/s", "velocity of the load", initial=speed))
     coupling = work.couple(theta - theta_load, v - v_load)
     system.rate("theta_load", v_load)
     load = work.torque(tau_load + coupling.torque, True, theta_load, v_load)

@@ -1,4 +1,6 @@
 /* Whole simulations in one call, for use inside a process (no FMI). */
+#include <math.h>
+
 #include "core.h"
 
 #if defined(_WIN32)
@@ -53,33 +55,36 @@ EXPORT long long batch_run(Core *c, long long n, double h, int n_inputs, const i
 
 #if N_OBSERVED
 /* A record as a chain of segments. At the start of each, chosen states are set anew (position, velocity: `starts`,
- * n_segments x n_set) and their followers move along; all other states carry on from the segment before. The observed
- * output and its derivatives by the chosen parameters are averaged over `width` steps.
+ * n_segments x (n_set + n_loose)) and their followers move along; all other states carry on from the segment before. The
+ * observed output and its derivatives by the chosen parameters are averaged over `width` steps.
  * set[i]: index among the states; column[i]: its start parameter among the sensitivities; leader[j]: place in set[] of
  * the state that state j follows, or -1. The first of the set is what the sensor shows: it starts such that the observed
- * output is the value given. seen (n_segments, bins), sens (n_segments, bins, parameters) or 0;
+ * output is the value given. State loose[i] starts by starts[n_set + i] less than state against[i] (loose_column[i]: the
+ * parameter for that); where this is no number it carries on as a follower, and what it starts by is written there.
+ * seen (n_segments, bins), sens (n_segments, bins, parameters) or 0;
  * good[k] = 0 where the simulation failed. Returns the number of segments that did not fail. */
 EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int width, double h, int n_inputs, const int *inputs,
                                 const double *values, int n_set, const int *set, const int *column, const int *leader,
-                                const double *starts, int observed, double *seen, double *sens, unsigned char *good)
+                                double *starts, int n_loose, const int *loose, const int *against, const int *loose_column,
+                                int observed, double *seen, double *sens, unsigned char *good)
 {
     enum { Q = N_SENSITIVITIES };
     const Variant *a = &VARIANTS[c->variant];
-    const int n = a->n_states;
+    const int n = a->n_states, n_starts = n_set + n_loose;
     double s[N_X * Q + 1] = {0.0}, jacobian[N_X + Q + 1], fresh[N_V];
     const long long length = (long long)bins * width;
     long long succeeded = 0;
     for (int i = 0; i < N_V; i++) fresh[i] = c->v[i];
     for (long long k = 0; k < n_segments; k++) {
-        double old[N_X + 1];
+        double old[N_X + 1], *start = starts + k * n_starts;
         for (int j = 0; j < n; j++) old[j] = c->v[a->states[j]];
         for (int i = 0; i < n_set; i++) {
-            c->v[a->states[set[i]]] = starts[k * n_set + i];
+            c->v[a->states[set[i]]] = start[i];
             for (int q = 0; q < Q; q++) s[set[i] * Q + q] = q == column[i];
         }
         for (int i = 0; i < 3; i++) { /* fixed point: the sensor shows nearly its state */
             core_outputs(c);
-            c->v[a->states[set[0]]] += starts[k * n_set] - c->v[observed];
+            c->v[a->states[set[0]]] += start[0] - c->v[observed];
         }
         a->seen_jacobian(c->v, 0.0, jacobian);
         for (int q = 0; q < Q; q++)
@@ -92,6 +97,13 @@ EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int wid
             c->v[a->states[j]] += c->v[a->states[from]] - old[from];
             /* the far side of a play remembers its past sharply: its derivatives start anew with the segment */
             for (int q = 0; q < Q; q++) s[j * Q + q] = s[from * Q + q];
+        }
+        for (int i = 0; i < n_loose; i++) {
+            const int j = loose[i], from = against[i];
+            const double now = c->v[a->states[from]], apart = start[n_set + i];
+            if (isnan(apart)) start[n_set + i] = now - c->v[a->states[j]];
+            else c->v[a->states[j]] = now - apart;
+            for (int q = 0; q < Q; q++) s[j * Q + q] = s[from * Q + q] - (q == loose_column[i]);
         }
         int code = CORE_OK;
         for (int b = 0; b < bins; b++) {

@@ -42,7 +42,7 @@ EFFECT = Effect(
     group="backlash",
     equation="T = k e (|e|/e0)^(n-1) (1 + lambda e'), e = dz(theta - theta_load, b/2), e0 = 1 mrad, J_load = r J",
     residual=("history",),
-    rugged=True,
+    loose="play",
     excitation="reversals",
     confounded=("input_delay", "presliding", "compliance"),
     parameters=(

@@ -8,8 +8,19 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.bench import lens_of
-from bristle.diagnosis.candidates import freedom, scanned
-from bristle.diagnosis.fit import Begin, Free, begun_well, evaluate, refit, rescored, resume
+from bristle.diagnosis.candidates import freedom, relaid, scanned
+from bristle.diagnosis.fit import (
+    Begin,
+    Free,
+    begun_well,
+    eased,
+    evaluate,
+    laid,
+    paid_for_starts,
+    refit,
+    rescored,
+    resume,
+)
 from bristle.diagnosis.intervals import covariance
 from bristle.diagnosis.search import look
 
@@ -196,20 +207,80 @@ def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
     assert still.here[plain.bench.held].sum() < best.here[plain.bench.held].sum() - 100
 
 
-def test_a_rugged_effect_is_found_from_a_play_and_a_stiffness_that_are_far_off(case):
+def test_what_switches_is_found_from_a_value_that_is_off(case):
     """Steps along derivatives end at a small maximum near where they begin; trials around it go on."""
+    hidden = case("dead_zone")
+    free = (*hidden.base.fit.free, *freedom("dead_zone", {"width": 0.06}, {}))
+    simulator = hidden.base.servo.simulator(hidden.base.fit.simulator.segments, ("dead_zone",))
+    values = {**hidden.base.fit.values, "dead_zone.width": 0.04}
+    first = evaluate(hidden.base.problem, simulator, free, values, hidden.base.fit.starts)
+    problem = hidden.base.problem
+    tried = scanned(first, lambda fit: problem, ("dead_zone",))
+    assert tried.total > resume(problem, first).total - 1.0
+    assert tried.total > first.total + 50
+    assert scanned(first, lambda fit: problem, ("gravity",)).values == first.values
+
+
+@pytest.fixture(scope="module")
+def rattling(case):
+    """A servo with backlash from a play and a stiffness that are far off, and what the records show of it."""
     backlash = case("backlash")
     free = (*backlash.base.fit.free, *freedom("backlash", {"share": 0.5, "play": 0.03, "stiffness": 50.0}, {}))
     simulator = backlash.base.servo.simulator(backlash.base.fit.simulator.segments, ("backlash",))
     off = {"backlash.share": 0.35, "backlash.play": 0.04, "backlash.stiffness": 25.0, "backlash.dissipation": 1.0}
     values = {**backlash.base.fit.values, **off}
-    first = evaluate(backlash.base.problem, simulator, free, values, backlash.base.fit.starts)
+    return backlash, evaluate(backlash.base.problem, simulator, free, values, backlash.base.fit.starts)
+
+
+def test_a_loose_load_is_found_from_a_play_and_a_stiffness_that_are_far_off(rattling):
+    """Steps along derivatives keep the load at the side where it lay; laid anew in each segment, it leads to the truth."""
+    backlash, first = rattling
     steps = resume(backlash.bench.left_by(first), first)
-    tried = scanned(steps, backlash.bench.left_by, ("backlash",))
-    problem = backlash.bench.left_by(tried)
-    assert tried.total > rescored(problem, steps).total + 100
-    assert tried.values["backlash.play"] == pytest.approx(0.03, rel=0.05)
-    assert scanned(steps, backlash.bench.left_by, ("gravity",)).values == steps.values
+    found = relaid(steps, backlash.bench.left_by)
+    assert found.total > rescored(backlash.bench.left_by(found), steps).total + 100
+    assert found.values["backlash.play"] == pytest.approx(0.03, rel=0.05)
+    plain = backlash.base.fit
+    assert relaid(plain, backlash.bench.left_by) is plain  # nothing is loose there
+
+
+def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
+    """No segment is the worse for it, and the likelihood comes near what it was."""
+    backlash, first = rattling
+    problem = backlash.base.problem
+    right = laid(problem, first, 3)
+    wrong = right.starts.copy()
+    wrong[:, 2] *= -1
+    moved = evaluate(problem, right.simulator, right.free, right.values, wrong)
+    again = laid(problem, moved, 3)
+    assert moved.here[problem.judged].sum() < right.here[problem.judged].sum() - 100
+    assert np.all(again.here >= moved.here)
+    assert again.here[problem.judged].sum() > right.here[problem.judged].sum() - 20
+    assert again.values == right.values
+
+
+def test_steps_of_start_states_make_no_segment_worse(rattling):
+    _, first = rattling
+    problem = rattling[0].base.problem
+    after = eased(problem, first, 3)
+    assert np.all(after.here >= first.here)
+    assert after.here[problem.judged].sum() > first.here[problem.judged].sum() + 10
+    assert eased(problem, first, 0) is first
+
+
+def test_start_states_that_no_sensor_shows_are_paid_for():
+    """The logarithm of by how much the records narrow what was known of them; nothing where they say nothing.
+
+    In closed form for one direction: half of log(1 + information over precision).
+    """
+    shape = np.linspace(0.3, 1.0, 50)
+    columns = np.zeros((1, 50, 4))
+    columns[0, :, 2] = shape
+    precision = np.array([[1.0, 1.0, 0.25, 4.0]])
+    begin = Begin.of(columns, np.zeros((1, 50)), precision, np.zeros((1, 4)))
+    expected = 0.5 * np.log(1 + shape @ shape / 0.25)
+    np.testing.assert_allclose(paid_for_starts(begin, precision), [expected], rtol=1e-9)
+    sure = Begin.of(columns[:, :, :2], np.zeros((1, 50)), precision[:, :2], np.zeros((1, 2)))
+    assert paid_for_starts(sure, precision[:, :2]) == 0.0
 
 
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e12])

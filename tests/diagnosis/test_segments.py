@@ -20,6 +20,7 @@ BENT = {f"{RIGID}.stiffness": 1200.0, f"{RIGID}.damping": 2.0}  # a bend of a qu
 WITH = {  # an effect, away from the ends of its intervals
     "gravity": {"amplitude": 0.2, "phase": 0.4},
     "cogging": {"amplitude": 0.05, "phase": 0.3, "periods": 6.9, "amplitude2": 0.01, "phase2": -0.4},
+    "backlash": {"stiffness": 30.0, "share": 0.4, "play": 0.02},
     "compliance": {"stiffness": 30.0, "share": 0.4},
     "dead_zone": {"width": 0.06},
     "input_delay": {"delay": 0.0063},
@@ -48,15 +49,18 @@ def simulator(segments, effects, rigid):
 
 @pytest.mark.parametrize("name", [None, *WITH])
 def test_derivatives_are_those_of_the_simulation(segments, name):
-    """By every parameter and both start states, over reversals, of a servo whose friction bends a little.
+    """By every parameter and all start states, over reversals, of a servo whose friction bends a little.
 
     The far side of a coupling is set along with each start, without what it owes to parameters before: there the first
-    segment alone is exact.
+    segment alone is exact. A contact begins within a step, which a simulation by steps sees a little earlier or later.
     """
+    least = 0.02 if name == "backlash" else 1e-5
     values = VALUES | BENT | {f"{name}.{key}": value for key, value in WITH.get(name, {}).items()}
     work = simulator(segments, (name,) if name else (), True)
     starts = segments.starts + np.array([0.0, 0.01])  # none at rest: steps have a kink there
-    seen, exact, good = work.run(values, starts, jacobian=True)
+    if name == "backlash":  # in contact at either side and in between, faster and slower than the motor
+        starts = np.column_stack([starts, np.resize([1.03, 0.2, -1.02], 8), np.resize([0.3, -0.5], 8)])
+    seen, exact, good, _ = work.run(values, starts, jacobian=True)
     assert exact is not None
     assert good.all()
     moved = [key for key in work.names if key in values and (name != "presliding" or not key.startswith(RIGID))]
@@ -65,26 +69,26 @@ def test_derivatives_are_those_of_the_simulation(segments, name):
         delta = 1e-6 * values[key]
         up, down = (work.run(values | {key: values[key] + sign * delta}, starts)[0] for sign in (1, -1))
         known = slice(0, 1) if name == "compliance" else slice(None)
-        check(exact[known, :, work.names.index(key)], (up - down)[known] / (2 * delta), key)
+        check(exact[known, :, work.names.index(key)], (up - down)[known] / (2 * delta), key, least)
     for k in range(len(starts)):
-        for column, delta in enumerate((1e-7, 1e-6)):
+        for column, delta in enumerate((1e-7, 1e-6, 1e-6, 1e-6)[: work.width]):
             offset = np.zeros_like(starts)
             offset[k, column] = delta
             up, down = (work.run(values, starts + sign * offset)[0][k] for sign in (1, -1))
-            check(exact[k, :, len(work.names) + column], (up - down) / (2 * delta), f"start {column} of {k}")
+            check(exact[k, :, len(work.names) + column], (up - down) / (2 * delta), f"start {column} of {k}", least)
     assert np.array_equal(work.run(values, starts)[0], seen)
 
 
-def check(exact, difference, key):
+def check(exact, difference, key, least):
     size = np.max(np.abs(difference))
     assert size > 0, key
-    assert np.max(np.abs(exact - difference)) <= 1e-5 * size, (key, np.max(np.abs(exact - difference)) / size)
+    assert np.max(np.abs(exact - difference)) <= least * size, (key, np.max(np.abs(exact - difference)) / size)
 
 
 def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
     """Without hidden states each segment is what the plain simulation gives from the same position and velocity."""
     starts = segments.starts + np.array([0.01, -0.2])
-    seen, _, good = simulator(segments, (), False).run(VALUES, starts)
+    seen, _, good, _ = simulator(segments, (), False).run(VALUES, starts)
     assert good.all()
     u = segments.pieces[0].u.reshape(-1, WIDTH * BINS)
     for k in (0, 3, 7):
@@ -97,16 +101,38 @@ def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
 def test_hidden_states_live_on_from_segment_to_segment(segments):
     """The delay line of one segment reaches into the next: what came before its start is not forgotten."""
     values = VALUES | {"input_delay.delay": 0.02}
-    seen, _, _ = simulator(segments, ("input_delay",), False).run(values, segments.starts)
+    seen = simulator(segments, ("input_delay",), False).run(values, segments.starts)[0]
     cold = Segments(
         tuple(
             cut("part", 0.4 * k, H, u, np.zeros_like(u), False, 4e-4, WIDTH, BINS)
             for k, u in enumerate(segments.pieces[0].u.reshape(-1, WIDTH * BINS))
         ), H, WIDTH, BINS, False,
     )  # fmt: skip
-    alone, _, _ = simulator(cold, ("input_delay",), False).run(values, segments.starts)
+    alone = simulator(cold, ("input_delay",), False).run(values, segments.starts)[0]
     np.testing.assert_array_equal(seen[0], alone[0])
     assert np.sum(np.max(np.abs(seen - alone)[1:], axis=1) > 1e-3) >= 4  # it rests at the start of some
+
+
+def test_a_loose_load_carries_on_unless_it_is_laid_somewhere(segments):
+    """Where it was is told, over half the play, and the same again when given; one segment moved leaves the others."""
+    values = VALUES | {f"backlash.{key}": value for key, value in (WITH["backlash"] | {"stiffness": 200.0}).items()}
+    work = simulator(segments, ("backlash",), False)
+    seen, _, _, starts = work.run(values, segments.starts)
+    assert starts.shape == (8, 4)
+    assert np.all(starts[0, 2:] == 0.0)
+    assert np.any(np.abs(starts[1:, 2]) > 0.5)
+    np.testing.assert_array_equal(starts[:, :2], segments.starts)
+    again, _, _, told = work.run(values, starts)
+    np.testing.assert_allclose(again, seen, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(told, starts)
+    other = starts.copy()
+    other[3, 2] = -starts[3, 2] - 0.5
+    moved = work.run(values, other)[0]
+    assert np.max(np.abs(moved[3] - again[3])) > 1e-4
+    np.testing.assert_array_equal(np.delete(moved, 3, axis=0), np.delete(again, 3, axis=0))
+    wider = work.run(values | {"backlash.play": 0.04}, starts)[3]
+    np.testing.assert_array_equal(wider[:, 2], starts[:, 2])
+    assert simulator(segments, (), False).run(VALUES, starts)[3].shape == (8, 2)
 
 
 def test_a_velocity_is_simulated_where_a_velocity_was_measured():
@@ -115,7 +141,7 @@ def test_a_velocity_is_simulated_where_a_velocity_was_measured():
     v = native.run(H, {"u": u}, ["v"])[0][:-1, 0]
     segments = Segments((cut("run", t[0], H, u, v, True, 1e-3, WIDTH, BINS),), H, WIDTH, BINS, True)
     starts = np.column_stack([np.zeros(8), v[:: WIDTH * BINS][:8]])
-    seen, sens, _ = Simulator("coulomb", (), segments, BASE, fixed_values(H)).run(VALUES, starts, jacobian=True)
+    seen, sens, _, _ = Simulator("coulomb", (), segments, BASE, fixed_values(H)).run(VALUES, starts, jacobian=True)
     assert sens is not None
     assert np.max(np.abs(seen - segments.seen)) < 1e-4 * np.ptp(v)
     assert np.all(sens[:, :, -2] == 0.0)  # where it is does not matter
@@ -126,7 +152,7 @@ def test_what_cannot_be_simulated_is_marked_and_spoils_nothing_else(segments):
     starts = segments.starts.copy()
     starts[2, 1] = np.nan
     work = simulator(segments, (), False)
-    seen, _, good = work.run(VALUES, starts)
+    seen, _, good, _ = work.run(VALUES, starts)
     assert good.tolist() == [k != 2 for k in range(8)]
     np.testing.assert_array_equal(seen[good], work.run(VALUES, segments.starts)[0][good])
 
@@ -176,7 +202,7 @@ def test_no_reversal_amplifies_a_start():
     work = simulator(rough, (), True)
     for damping in np.geomspace(0.01, 10.0, 60):
         bent = {f"{RIGID}.stiffness": 5000.0, f"{RIGID}.damping": damping}
-        _, exact, good = work.run(VALUES | bent, rough.starts, jacobian=True)
+        _, exact, good, _ = work.run(VALUES | bent, rough.starts, jacobian=True)
         assert exact is not None
         assert good.all()
         assert np.abs(exact[:, :, -1]).max() <= 1.01 * H * WIDTH * BINS
