@@ -267,7 +267,7 @@ def advance(candidate: Candidate, quiet: Callable[[Fit], Problem], least: float,
 
     What does nothing where it starts stays there, unless it switches.
     """
-    switches = find_effect(candidate.name).rugged or contact(candidate.name)
+    switches = candidate.fit is not None and switching(candidate.fit, [candidate.name])
     if not effort.all and not switches and STILL[0] < candidate.promised - least < STILL[1]:
         return replace(candidate, rivals=())
     several = candidate.rivals if effort.all or candidate.promised > least or contact(candidate.name) else ()
@@ -286,9 +286,10 @@ def pursue(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Calla
     return replace(candidate, fit=rescored(quiet(fit), fit))
 
 
-def rugged(fit: Fit, effects: Collection[str]) -> list[Free]:
-    """Return the free parameters of effects that switch."""
-    return [f for f in fit.free if f.name.split(".")[0] in effects and find_effect(f.name.split(".")[0]).rugged]
+def switching(fit: Fit, effects: Collection[str]) -> list[Free]:
+    """Return the free parameters of effects that switch, contacts among them."""
+    own = [(f, f.name.split(".")[0]) for f in fit.free]
+    return [f for f, name in own if name in effects and (find_effect(name).rugged or contact(name))]
 
 
 def relaid(fit: Fit, quiet: Callable[[Fit], Problem]) -> Fit:
@@ -313,7 +314,7 @@ def scanned(fit: Fit, quiet: Callable[[Fit], Problem], effects: Sequence[str]) -
     steps along derivatives end.
     """
     fit = relaid(fit, quiet)
-    own = rugged(fit, effects)
+    own = [f for f in switching(fit, effects) if not contact(f.name.split(".")[0])]
     if not own:
         return fit
     rng = np.random.default_rng(1)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
-from bristle.diagnosis.candidates import RIGID, SPREADS, beside, rugged
+from bristle.diagnosis.candidates import RIGID, SPREADS, beside, switching
 from bristle.diagnosis.fit import Fit, Free, Problem, evaluate
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
@@ -67,7 +67,7 @@ def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[st
     With a problem, those of effects that switch are looked for all around.
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
-    own = rugged(fit, all_effects()) if problem is not None else []
+    own = switching(fit, all_effects()) if problem is not None else []
     wide_at = reach(problem, fit, own) if problem is not None and own else {}
     found = {}
     for f, each in zip(fit.free, deviation, strict=True):
