@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis import result as answer
-from bristle.diagnosis.candidates import RIGID, SPREADS, beside, switching
+from bristle.diagnosis.candidates import RIGID, SPREADS, beside, contact, switching
 from bristle.diagnosis.fit import Fit, Free, Problem, evaluate
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 WIDER, WIDER_AT_EDGES = 2.0, 5.0  # than what the spread of scores gives for an interval
 TRIALS = 6  # values around the fit for each coefficient of the parabola that stands for a likelihood with many maxima
+NEAR = 0.05  # how far around, where a contact is one of them: its likelihood is a parabola no further
 MOST = 1.0  # a factor of e, or a second: half of the widest interval that it can give
 
 
@@ -43,7 +44,8 @@ def reach(problem: Problem, fit: Fit, own: list[Free]) -> dict[str, float]:
     """
     k = len(own)
     pairs = [(i, j) for i in range(k) for j in range(i, k)]
-    steps = SPREADS[0] * np.random.default_rng(3).standard_normal((TRIALS * (1 + k + len(pairs)), k))
+    wide = np.array([NEAR if contact(f.name.split(".")[0]) else SPREADS[0] for f in own])
+    steps = wide * np.random.default_rng(3).standard_normal((TRIALS * (1 + k + len(pairs)), k))
     totals = []
     for step in steps:
         near = {f.name: f.inside(beside(f.name, fit.values[f.name], d)) for f, d in zip(own, step, strict=True)}
