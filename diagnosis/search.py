@@ -23,6 +23,7 @@ from bristle.diagnosis.candidates import (
     evidence,
     explore,
     freedom,
+    idle,
     pursue,
     scanned,
     starts,
@@ -180,8 +181,13 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
     fit = resume(problem, fit)
     if any(f.stuck(fit.values[f.name]) for f in best.servo.free if f.name in bending):
         return stage
-    gained = fit.total - rescored(problem, old).total
-    return Stage(best.servo, problem, fit) if gained > max(SURE * level, FORMED) else stage
+    usual = rescored(problem, old)
+    if effect.coupling:  # what a form gains by leaving a small maximum is not its own
+        led = evaluate(problem, old.simulator, old.free, {**fit.values, **idle(name)}, fit.starts)
+        usual = max(usual, scanned(resume(problem, led, LONG), lambda fit: problem, servo.effects), key=lambda each: each.total)
+    if fit.total - usual.total > max(SURE * level, FORMED):
+        return Stage(best.servo, problem, fit)
+    return stage if usual.values == old.values else Stage(stage.servo, problem, usual)
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage, gain: float, level: float) -> tuple[Stage, list[str]]:
