@@ -23,6 +23,7 @@ STARTS = 5  # steps of start states alone
 EASE = 2  # of them that follow each step of the parameters, where a load is loose
 HALF = 0.5  # of what a step promised: less calls for these
 SIDES = (-1.0, 0.0, 1.0)  # of the play, where a loose load is looked for
+DEAREST = 50.0  # nats that these may cost in a segment: more is rounding, where a simulation runs away
 PATIENCE = 3  # steps in a row that gain nothing
 WILD = 1e12  # outputs and derivatives beyond this, or none, are those of a simulation that failed
 FAILED = 1e6  # squared misfit of a segment whose simulation failed
@@ -253,7 +254,7 @@ def paid_for_starts(begin: Begin, precision: Array) -> Array:
     """
     hidden = slice(2, None)
     after, before = np.linalg.slogdet(begin.inverse[:, hidden, hidden])[1], -np.log(precision[:, hidden]).sum(axis=1)
-    return np.asarray(0.5 * (before - after))
+    return np.asarray(np.clip(0.5 * (before - after), 0.0, DEAREST))
 
 
 def _place(free: Free, value: float) -> float:
