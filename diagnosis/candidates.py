@@ -227,7 +227,8 @@ def explore(
     except BristleError as error:
         return Candidate(name, None, refused=str(error))
     defaults = {p.name: p.default for p in find_effect(name).parameters} | idle(name)
-    trials, banks, own, ease = [], [], servo.own(name), EASE if fit.simulator.loose else 0
+    trials, banks, own = [], [], servo.own(name)
+    ease = EASE if fit.simulator.loose else 0  # what a load did without the effect it does not do with it
     for start in (*starts(name, e), *standing(servo, name, fit)):
         free = freedom(name, start, servo.limits)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
@@ -260,8 +261,8 @@ def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
 
 
 def _reached(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
-    """Return what steps have led to as `_worth` does; with a loose load, where a step promises what none can keep, without it."""
-    promised, fit = _worth(fit, quiet)
+    """Return what steps have led to as `_worth` does; a loose load is laid anew, and a step promises what none can keep there."""
+    promised, fit = _worth(laid(quiet(fit), fit, EASE), quiet)
     return fit.total if fit.simulator.loose else promised, fit
 
 
@@ -274,7 +275,8 @@ def advance(candidate: Candidate, quiet: Callable[[Fit], Problem], least: float,
     still = STILL[0] < beyond < STILL[1] and not loose and not find_effect(candidate.name).rugged
     if (still and not effort.all) or (loose and beyond < -NEAR):
         return replace(candidate, rivals=())
-    several = candidate.rivals if effort.all or beyond > 0 or loose else ()
+    rattles = candidate.fit is not None and candidate.fit.simulator.loose
+    several = candidate.rivals if effort.all or beyond > 0 or rattles else ()
     climbs = 1 if loose else CLIMBS
     ends = [_reached(_climbed(t, quiet, least, effort.steps, climbs), quiet) for t in (candidate.fit, *several) if t]
     ends.sort(key=lambda end: -end[0])
