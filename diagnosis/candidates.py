@@ -262,8 +262,11 @@ def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
 
 def _reached(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
     """Return what steps have led to as `_worth` does; a loose load is laid anew, and a step promises what none can keep there."""
-    promised, fit = _worth(laid(quiet(fit), fit, EASE), quiet)
-    return fit.total if fit.simulator.loose else promised, fit
+    if not fit.simulator.loose:
+        return _worth(fit, quiet)
+    fit = laid(quiet(fit), fit, EASE)
+    fit = rescored(quiet(fit), fit)
+    return fit.total, fit
 
 
 def advance(candidate: Candidate, quiet: Callable[[Fit], Problem], least: float, effort: Effort) -> Candidate:
@@ -275,11 +278,10 @@ def advance(candidate: Candidate, quiet: Callable[[Fit], Problem], least: float,
     still = STILL[0] < beyond < STILL[1] and not loose and not find_effect(candidate.name).rugged
     if (still and not effort.all) or (loose and beyond < -NEAR):
         return replace(candidate, rivals=())
-    rattles = candidate.fit is not None and candidate.fit.simulator.loose
-    several = candidate.rivals if effort.all or beyond > 0 or rattles else ()
+    assert candidate.fit is not None
+    several = candidate.rivals if effort.all or beyond > 0 or candidate.fit.simulator.loose else ()
     climbs = 1 if loose else CLIMBS
-    ends = [_reached(_climbed(t, quiet, least, effort.steps, climbs), quiet) for t in (candidate.fit, *several) if t]
-    ends.sort(key=lambda end: -end[0])
+    ends = [_reached(_climbed(t, quiet, least, effort.steps, climbs), quiet) for t in (candidate.fit, *several)]
     promised, fit = max(ends, key=lambda end: end[0])
     return replace(candidate, fit=fit, promised=promised, rivals=())
 

@@ -329,8 +329,7 @@ def refit(
     trust, failed = np.ones(len(starts)), 0
     for _ in range(iterations):
         step, back, promise = _direction(fit, damping)
-        known, doubt = problem.known(simulator, fit.values)
-        around = np.clip(fit.starts + trust[:, None] * back, known - 4 * doubt, known + 4 * doubt)
+        around = _begun_at(problem, fit, trust[:, None] * back)
         values = moved(free, fit.values, step)
         trial = evaluate(problem, simulator, free, values, around)
         if simulator.loose and _gained(problem, fit, trial) < max(HALF * promise, enough):
@@ -347,6 +346,12 @@ def refit(
         if promise + min(open_, enough) < enough or failed > PATIENCE:
             break
     return fit
+
+
+def _begun_at(problem: Problem, fit: Fit, step: Array) -> Array:
+    """Return the start states (segments, width) after a step, no further from what is known of them than four times its doubt."""
+    known, doubt = problem.known(fit.simulator, fit.values)
+    return np.asarray(np.clip(fit.starts + step, known - 4 * doubt, known + 4 * doubt))
 
 
 def _gained(problem: Problem, fit: Fit, trial: Fit) -> float:
@@ -382,9 +387,7 @@ def eased(problem: Problem, fit: Fit, steps: int) -> Fit:
     """Return a fit after so many steps of the start states of all segments, each taken where it helps."""
     trust = np.ones(len(fit.starts))
     for _ in range(steps):
-        known, doubt = problem.known(fit.simulator, fit.values)
-        back = trust[:, None] * fit.begin.moves(fit.begin.pull)
-        around = np.clip(fit.starts + back, known - 4 * doubt, known + 4 * doubt)
+        around = _begun_at(problem, fit, trust[:, None] * fit.begin.moves(fit.begin.pull))
         trial = evaluate(problem, fit.simulator, fit.free, fit.values, around)
         better = trial.here > fit.here
         trust = np.where(better, np.minimum(2 * trust, 1.0), 0.25 * trust)

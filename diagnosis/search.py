@@ -181,13 +181,14 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
     fit = resume(problem, fit)
     if any(f.stuck(fit.values[f.name]) for f in best.servo.free if f.name in bending):
         return stage
-    usual = rescored(problem, old)
+    usual = stood = rescored(problem, old)
     if effect.coupling:  # what a form gains by leaving a small maximum is not its own
         led = evaluate(problem, old.simulator, old.free, {**fit.values, **idle(name)}, fit.starts)
-        usual = max(usual, scanned(resume(problem, led, LONG), lambda fit: problem, servo.effects), key=lambda each: each.total)
+        led = scanned(resume(problem, led, LONG), lambda _: problem, stage.servo.effects)
+        usual = max(stood, led, key=lambda each: each.total)
     if fit.total - usual.total > max(SURE * level, FORMED):
         return Stage(best.servo, problem, fit)
-    return stage if usual.values == old.values else Stage(stage.servo, problem, usual)
+    return stage if usual is stood else Stage(stage.servo, problem, usual)
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage, gain: float, level: float) -> tuple[Stage, list[str]]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,8 +183,6 @@ class Simulator:
         pairs = [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()] if self.loose else []
         self._load, self._motor = (np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1))
         self._apart = len(self.names) + len(STARTS) + np.arange(len(pairs), dtype=np.int32)
-        inputs, speeds = np.concatenate([piece.u for piece in segments.pieces]), segments.starts[:, 1]
-        self._usual_u, self._usual_v = (float(np.sqrt(np.mean(np.square(x)))) for x in (inputs, speeds))
         self._input = np.array([program.index["u"]], dtype=np.int32)
         self._observed = program.index["v" if segments.velocity else "theta"]
 
@@ -204,8 +202,15 @@ class Simulator:
         """
         if not self.loose:
             return np.empty(0)
-        bend = abs(values["b"]) * self._usual_u / self._value(f"{self.loose.split('.')[0]}.stiffness", values)
-        return np.array([1.0 + bend / self._half(values), COASTING * self._usual_v + 1e-9])
+        u, v = self._usual
+        bend = abs(values["b"]) * u / self._value(f"{self.loose.split('.')[0]}.stiffness", values)
+        return np.array([1.0 + bend / self._half(values), COASTING * v + 1e-9])
+
+    @cached_property
+    def _usual(self) -> tuple[float, float]:
+        """Root mean squares of the input and of the speeds at the starts of the segments."""
+        inputs = np.concatenate([piece.u for piece in self.segments.pieces])
+        return float(np.sqrt(np.mean(np.square(inputs)))), float(np.sqrt(np.mean(np.square(self.segments.starts[:, 1]))))
 
     def _half(self, values: Mapping[str, float]) -> float:
         return max(0.5 * self._value(self.loose, values), LEAST_PLAY)
@@ -235,7 +240,9 @@ class Simulator:
         pieces = self.segments.pieces
         given = np.full((len(starts), self.width), np.nan)
         given[:, : starts.shape[1]] = starts[:, : self.width]
-        begins = np.split(self._in_units(given, values), np.cumsum([len(piece.seen) for piece in pieces])[:-1])
+        if self.loose:
+            given[:, 2] *= self._half(values)
+        begins = np.split(given, np.cumsum([len(piece.seen) for piece in pieces])[:-1])
         together = _pool().map if len(pieces) > 1 else map  # records do not depend on each other
 
         def one(native: Native, piece: Piece, begin: Array) -> tuple[Array, Array, Mask, Array]:
@@ -246,11 +253,6 @@ class Simulator:
         if self.loose:
             self._over_play(values, begun, sens if jacobian else None)
         return seen, sens if jacobian else None, good, begun
-
-    def _in_units(self, starts: Array, values: Mapping[str, float]) -> Array:
-        if self.loose:
-            starts[:, 2] *= self._half(values)
-        return starts
 
     def _over_play(self, values: Mapping[str, float], starts: Array, sens: Array | None) -> None:
         """Put a load's place over half the play in place of its place, so that it stays in contact when the play changes."""

@@ -123,8 +123,8 @@ def _bodies(system: System, work: Effects, j: SX, motor: SX, tau_load: SX) -> tu
     theta, v = system.symbols["theta"], system.symbols["v"]
     if not work.coupled:
         return work.torque(work.torque(motor + tau_load, False, theta, v), True, theta, v), j
-    behind, slower = (system.symbols["theta_start"], TWIST_START), (system.symbols["v_start"], TWISTING_START)
-    at, speed = (start - system.parameter(less) for start, less in (behind, slower))
+    at = system.symbols["theta_start"] - system.parameter(TWIST_START)
+    speed = system.symbols["v_start"] - system.parameter(TWISTING_START)
     theta_load = system.state(State("theta_load", "rad", "position of the load", initial=at))
     v_load = system.state(State("v_load", "rad/s", "velocity of the load", initial=speed))
     coupling = work.couple(theta - theta_load, v - v_load)

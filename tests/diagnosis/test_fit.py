@@ -259,8 +259,8 @@ def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
 
 
 def test_steps_of_start_states_make_no_segment_worse(rattling):
-    _, first = rattling
-    problem = rattling[0].base.problem
+    backlash, first = rattling
+    problem = backlash.base.problem
     after = eased(problem, first, 3)
     assert np.all(after.here >= first.here)
     assert after.here[problem.judged].sum() > first.here[problem.judged].sum() + 10
