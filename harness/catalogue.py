@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from bristle.fmus.host import Fmu
-from bristle.model.errors import BristleError
+from bristle.model.output import output_folder
 
 
 def scenarios() -> dict[str, str]:
@@ -41,11 +41,8 @@ def build_file(what: str, out: Path, *, fmi: int, kind: str, law: str | None, me
     """Build an FMU into the folder `out`, named after what it is."""
     from bristle.fmus import build
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BristleError(f"output folder {out}: {error.strerror}; choose another with --out") from None
     names = {"plant": "ServoPlant", "observer": "AdaptiveObserver", "controller": "Controller"}
     variant = law or method
     stem = names.get(what, what) + (f"_{variant}" if variant else "")
-    return build(what, out / f"{stem}.fmu", fmi=fmi, kind=kind, law=law, method=method)
+    with output_folder(out):
+        return build(what, out / f"{stem}.fmu", fmi=fmi, kind=kind, law=law, method=method)

@@ -21,9 +21,9 @@ from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import Bus, Trace, simulate
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
 from bristle.harness.plan import validation as validation_bus
-from bristle.harness.scenario import load
+from bristle.harness.scenario import Loaded, load
 from bristle.harness.validation import Validation, identification_data, identified_model, lean_fmus, told, validate
-from bristle.model.output import check_writable, plain, to_json
+from bristle.model.output import output_folder, plain, to_json
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
@@ -78,11 +78,16 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
     BristleError
         One line; nothing is written then, and what was there stays.
     """
-    options, clock = options or Options(), _Clock()
-    tell = progress or (lambda stage, done, total: None)
+    options = options or Options()
     loaded = load(path, options.overrides, options.seed)
-    check_writable(out)
-    results.refuse_strange(out / loaded.name)
+    with output_folder(out):
+        results.refuse_strange(out / loaded.name)
+        return _run(loaded, out, options, progress or (lambda stage, done, total: None))
+
+
+def _run(loaded: Loaded, out: Path, options: Options, tell: Progress) -> Run:
+    """Run what has been read, into a folder that can be written."""
+    clock = _Clock()
     with clock.stage("FMUs (built only if new)"):
         tell("building FMUs", 0, 0)
         setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))

@@ -100,7 +100,7 @@ def test_errors_are_2_and_one_line(cli: Cli, case: Path, tmp_path: Path) -> None
     one_line(cli("dance"), "dance")
     one_line(cli(), "list, build, run")
     one_line(cli("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
-    assert not (out / "case").exists()
+    assert not out.exists()
 
 
 def test_one_bad_scenario_does_not_stop_the_others(cli: Cli, case: Path, tmp_path: Path) -> None:
