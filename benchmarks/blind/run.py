@@ -66,7 +66,7 @@ def diagnose_one(folder: Path, target: Path) -> None:
     write_json(target, result)
 
 
-def _work(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: int, label: str) -> None:
+def work(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: int, label: str) -> None:
     """Call a function in worker processes, with a line of progress on the standard error."""
     todo = list(calls)
     begun, step = time.perf_counter(), max(1, len(todo) // 50)
@@ -90,7 +90,7 @@ def generate(seed: str, out: Path, scale: float, jobs: int, only: Sequence[str])
     write_json(path, note)
     library()  # compiled once, before the workers start
     missing = [spec for spec in specs if not (out / "answers" / f"{spec.index:05d}.json").exists()]
-    _work(generate_one, [(seed, spec, out) for spec in missing], jobs, "generate")
+    work(generate_one, [(seed, spec, out) for spec in missing], jobs, "generate")
     print(f"{len(specs)} cases in {out}; sha256 of answers.sha256: {seal(out)}")
 
 
@@ -112,7 +112,7 @@ def diagnose_all(out: Path, jobs: int) -> None:
         raise SystemExit("the answers are not sealed yet; run generate to its end")
     order = sorted((out / "cases").iterdir(), key=lambda f: hashlib.sha256(f.name.encode()).hexdigest())
     folders = [f for f in order if not (out / "results" / f"{f.name}.json").exists()]
-    _work(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in folders], jobs, "diagnose")
+    work(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in folders], jobs, "diagnose")
 
 
 def answered(out: Path) -> list[tuple[Any, Any]]:
