@@ -290,6 +290,9 @@ def _summary(found: Diagnosis) -> None:
     text = "\n".join(found.statement)
     for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
         print(line)
+    choice = [f"to have the model with one of these effects, give --choose: {', '.join(found.choices)}"] if found.choices else []
+    for line in (*([found.experiment] if found.experiment else []), *choice, *found.findings):
+        print(f"  - {line}")
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]
     for effect in found.effects:
         for name, e in effect.parameters.items():
@@ -347,7 +350,9 @@ def _explain(error: BaseException) -> str:
     if type(error).__name__ == "NoArgsIsHelpError":
         return "bristle: no command; choose one of list, build, run, diagnose, or see bristle --help"
     if usage is not None:
-        return f"bristle: {usage()}; see bristle --help"
+        context = getattr(error, "ctx", None)
+        command = "bristle" if context is None or context.parent is None else f"bristle {context.info_name}"
+        return f"bristle: {usage().replace('Value error, ', '').rstrip('.')}; see {command} --help"
     return f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback"
 
 

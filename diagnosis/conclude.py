@@ -12,7 +12,7 @@ import numpy as np
 from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
 from bristle.diagnosis.bench import Bench, Stage
-from bristle.diagnosis.candidates import scanned
+from bristle.diagnosis.candidates import Candidate, scanned
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, resume
 from bristle.diagnosis.intervals import estimates
@@ -22,7 +22,7 @@ from bristle.diagnosis.record import Record
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import group, views_of
 from bristle.diagnosis.size import errors, fall, mean_square, squares
-from bristle.diagnosis.views import Share, residual_map
+from bristle.diagnosis.views import LEAST_P, Share, residual_map
 
 MAPS = 6  # views whose residual is drawn
 TOLD = 0.3  # half an interval relative to the value, which of one parameter at least must be less (of 556 records in which
@@ -54,7 +54,7 @@ def conclude(
         for name, v in ((name, of[name]) for name in named)
     )  # fmt: skip
     own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
-    choices = {c.name: estimates(model, c.fit) for c in last.candidates if c.name in undecided and c.fit}
+    choices = {c.name: estimates(model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit}
     return answer.Diagnosis(
         verdict=verdict,
         statement=story.statement(verdict, effects, ties, gap, left, intervals, mute),
@@ -107,6 +107,16 @@ def _open(verdict: Verdict) -> tuple[str, ...]:
     """Return the members of a tie that was not resolved, or what was withdrawn."""
     open_ = verdict.best and not verdict.named and (verdict.ties or verdict.withdrawn)
     return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
+
+
+def choices_of(rounds: Sequence[Verdict], undecided: Sequence[str], named: Sequence[str]) -> list[Candidate]:
+    """Return what may be chosen: the members of an open tie, or those that a name stands for, if nothing was added after it."""
+    if undecided:
+        return [c for c in rounds[-1].candidates if c.name in undecided]
+    v = next((v for v in reversed(rounds) if v.named), None)
+    if v is None or v.best is None or v.best.name not in named:
+        return []
+    return [c for c in v.candidates if c.name in v.ties]
 
 
 def unnamed(last: Verdict, narrow: str, left: answer.Remains, mute: Sequence[str] = ()) -> str:
@@ -162,7 +172,9 @@ def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.
         late = table[share.view]
         drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if maps < MAPS else {}
         maps += bool(drawn)
-        views.append(answer.View(share.view, share.share, share.p, late.share, late.p, share.label, **drawn))
+        views.append(
+            answer.View(share.view, share.share, max(share.p, LEAST_P), late.share, max(late.p, LEAST_P), share.label, **drawn)
+        )
     return tuple(views), after
 
 

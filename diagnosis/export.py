@@ -67,7 +67,8 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
         return None
     found = {effect.name: effect.parameters for effect in diagnosis.effects}
     own = diagnosis.parameters
-    if choose is not None:
+    if choose in diagnosis.choices:  # in the place of what stands for it, if that was named
+        found = {name: each for name, each in found.items() if name not in _mates(diagnosis, choose)}
         found |= {choose: diagnosis.choices[choose]}
         own = diagnosis.choice_parameters.get(choose, own)
     model = _refitted(diagnosis.model, own or diagnosis.base, found)
@@ -75,16 +76,23 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
 
 
 def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
-    if choose in diagnosis.choices:
+    names = [effect.name for effect in diagnosis.effects]
+    if choose in diagnosis.choices or choose in names:
         return
     members = ", ".join(diagnosis.choices) or ", ".join(name for tie in diagnosis.ties for name in tie)
-    mates = next((tie for tie in diagnosis.ties if choose in tie), ())
-    named = [effect.name for effect in diagnosis.effects if effect.name in mates]
-    if named:
-        raise BristleError(f"--choose {choose}: of one class with '{named[0]}', which stands for both in the model; leave it out")
+    if named := [name for name in names if name in _mates(diagnosis, choose)]:
+        raise BristleError(
+            f"--choose {choose}: '{named[0]}' stands for it, and other effects were added to that; leave it out, "
+            f"or give the model '{choose}' in [effects] and diagnose again"
+        )
     if diagnosis.verdict != "tie":
         raise BristleError(f"--choose {choose}: there is no tie to choose from, the verdict is '{diagnosis.verdict}'; leave it out")
     raise BristleError(f"--choose {choose}: not a member of the tie; choose one of: {members}")
+
+
+def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
+    """Return the tie that an effect is in."""
+    return next((tie for tie in diagnosis.ties if name in tie), ())
 
 
 def _refitted(model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]) -> Model:

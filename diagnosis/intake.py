@@ -18,7 +18,7 @@ from bristle.model.table import Array, read_columns, si_column
 
 SHORTEST = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz, and half are held out
 BRIEFEST = 2.0  # s, likewise
-LARGEST = 1e30  # SI: no rig gives more, and squares of such numbers are no numbers any more
+SMALLEST, LARGEST = 1e-30, 1e30  # SI: no rig gives less or more, and squares of such numbers are no numbers any more
 GAP = 3.5  # an interval of more than this many is a gap; shorter ones are bridged
 EPOCH = 1e6  # s: a time that starts above counts from 1970, not from the start
 
@@ -171,8 +171,8 @@ def _possible(model: Model, raw: Raw) -> None:
     units = ("s", model.input_unit, model.output_unit)
     for key, values, unit in zip(("time", "input", "output"), (raw.time, raw.u, raw.y), units, strict=True):
         most = float(np.max(np.abs(values)))
-        if most > LARGEST:
-            raise raw.error(f"{key} reaches {most:.3g} {unit}, allowed {LARGEST:g}; check its column and unit")
+        if most > LARGEST or 0.0 < most < SMALLEST:
+            raise raw.error(f"{key} reaches {most:.3g} {unit}, allowed {SMALLEST:g} to {LARGEST:g}; check its column and unit")
 
 
 def _pieces(model: Model, raw: Raw) -> list[Record]:

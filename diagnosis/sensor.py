@@ -14,6 +14,7 @@ CREST = 4.0  # and many times as long as on the values next to it
 LEVELS = 20  # an input of fewer values is switched, not limited
 STILL = 3.001  # steps of the resolution: less is no motion
 SPIKE = 8.0  # a spike steps this many times farther than its neighbours
+BITS = (8, 32)  # of a counter that wraps
 STUCK = 0.2  # s: an output that stands still so long while the input sweeps most of its range is worth a line
 
 
@@ -86,17 +87,21 @@ def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
     full = 2.0 * np.pi
     turn = float(np.median(sizes))
     likely = [known for known in ((full, 360.0, 1.0) if not model.linear else ()) if abs(turn - known) < 0.02 * known]
+    counter = _counter(turn, resolution)
     if likely:
         turn = likely[0]
     elif resolution:
-        turn = resolution * round(turn / resolution)
-    if span > 1.02 * turn or np.max(np.abs(sizes - turn)) > 0.1 * turn:
+        turn = counter or resolution * round(turn / resolution)
+    fits = span <= 1.02 * turn and np.max(np.abs(sizes - turn)) <= 0.1 * turn
+    if len(jumps) < 2 and not (fits and (counter or (turn == full and not model.linear))):  # of any size it may be a slip
+        where = f"after {raw.time[jumps[0]]:.6g} s"
+        raw.say(f"position jumps once by {turn:.4g} {model.output_unit} {where}: a lost reading or a wrap? cut the record there")
         return False
-    if len(jumps) < 2 and (model.linear or turn != full):
-        return False  # one jump of any size may be a slip; one of a turn is not
+    if not fits:
+        return False
     raw.y = raw.y + np.concatenate([[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))])
     first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
-    if model.linear or turn == full:
+    if model.linear or turn == full or counter:
         raw.say(f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped")
     else:
         raw.say(
@@ -104,6 +109,15 @@ def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
             f"check [output] unit ('{model.output.unit}') and scale"
         )
     return True
+
+
+def _counter(turn: float, resolution: float | None) -> float | None:
+    """Return the range of a counter of so many bits, if a jump is of that size."""
+    if not resolution or turn <= 0.0:
+        return None
+    bits = round(float(np.log2(turn / resolution)))
+    size = float(resolution * 2.0**bits)
+    return size if min(BITS) <= bits <= max(BITS) and abs(turn - size) < 0.005 * size else None
 
 
 def report_frozen(raw: Raw, resolution: float | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from bristle.diagnosis.null import Null
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains
 from bristle.diagnosis.views import STRETCHES
 from bristle.plant.effects import effect as find_effect
+from bristle.plant.effects import effects as all_effects
 
 SEPARATE = {  # what tells effects of one class apart
     frozenset({"bias", "asymmetric_coulomb"}): "let it rest and raise the torque slowly until it breaks away, in both directions: "
@@ -142,7 +143,14 @@ def statement(
     if remains.flag:
         where = view_name(remains.view or "")
         lines.append(f"Something remains that none of the effects explains: {remains.share:.0%} of the residual follows {where}.")
+    return (*lines, *_at_ends(base))
+
+
+def _at_ends(base: Mapping[str, Estimate]) -> Iterator[str]:
+    """Give a line each on parameters of the model and of effects that end at a bound; only the former have one in [bounds]."""
     stuck = [name for name, estimate in base.items() if estimate.at_bound]
-    if stuck:
-        lines.append(f"The refit of {', '.join(stuck)} ends at a bound: widen it in [bounds], or check units and signs.")
-    return tuple(lines)
+    own = [name for name in stuck if name.split(".")[0] not in all_effects()]
+    if own:
+        yield f"The refit of {', '.join(own)} ends at a bound: widen it in [bounds], or check units and signs."
+    if others := [name for name in stuck if name not in own]:
+        yield f"{', '.join(others)} at the end of what may be: a limit, no estimate; the effect may be there for something else."

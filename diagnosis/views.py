@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 FOLDS = 5
 FLIPS, OFTEN = 999, 20  # random signs of segments, for the significance; draws as high after which a line is an ordinary one
+LEAST_P = 1 / (1 + FLIPS)  # no smaller p is told
 RIDGE = 1e-3  # of a view's own power
 KNOTS = 9
 TONES = (0.2, 45.0)  # Hz

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TextIO
 from zipfile import is_zipfile
@@ -19,6 +19,7 @@ from bristle.model.units import parse_unit
 Array = NDArray[np.float64]
 
 SEPARATORS = ",;\t"  # of a CSV
+NAME, NAMES = 40, 20  # letters of a column's name and names that an error shows
 
 
 class Columns(dict[str, Array]):
@@ -50,6 +51,8 @@ def read_columns(path: Path) -> Columns:
         if error.strerror is None:  # pyarrow's own errors are OSErrors without an error number
             raise _unreadable(path, error) from None
         raise BristleError(f"record {path}: {error.strerror}; check the path") from None
+    except UnicodeDecodeError:
+        raise BristleError(f"record {path}: is not UTF-8 text; save it as CSV in UTF-8") from None
     except Exception as error:  # each format's reader has its own exceptions
         raise _unreadable(path, error) from None
     if not columns:
@@ -206,6 +209,8 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
             raise BristleError(f"scale '{scale}' is zero; write what one of the unit is worth, for example \"20 rad/m\"")
         factor, exponents = factor * float(number) * over.factor, exponents + np.array(over.exponents)
     if tuple(exponents) != want.exponents:
+        if scale is not None:
+            raise BristleError(f"unit '{unit}' with scale '{scale}' gives none like '{si_unit}', which is needed; correct either")
         raise BristleError(
             f"unit '{unit}' does not fit, a unit like '{si_unit}' is needed; "
             f'correct it, or add scale = "... {si_unit}" over that unit'
@@ -213,12 +218,18 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
     return factor
 
 
+def _listed(names: Iterable[str]) -> str:
+    """Return some names in short, as one line can hold them."""
+    short = [name if len(name) <= NAME else f"{name[:NAME]}..." for name in names]
+    return ", ".join(short[:NAMES]) + (f" and {len(short) - NAMES} more" if len(short) > NAMES else "")
+
+
 def si_column(where: str, columns: Mapping[str, Array], name: str, unit: str, scale: str | None, si_unit: str) -> Array:
     """Return a column in SI units, shape (n,); `where` begins the line of an error."""
     if what := getattr(columns, "unusable", {}).get(name):
         raise BristleError(f"{where}: column '{name}' holds {what}; give one number a sample")
     if name not in columns:
-        raise BristleError(f"{where}: no column '{name}'{suggest(name, list(columns))}; there are: {', '.join(columns)}")
+        raise BristleError(f"{where}: no column '{name}'{suggest(name, list(columns))}; there are: {_listed(columns)}")
     try:
         return columns[name] * factor_to(unit, scale, si_unit)
     except BristleError as error:

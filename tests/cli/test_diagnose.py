@@ -85,6 +85,9 @@ def test_it_says_what_it_found_and_where_the_report_is(call: Call, asked: dict[s
     assert lines[0].startswith("Cogging explains the difference")
     row = next(line for line in lines if "amplitude " in line)
     assert row.split() == ["cogging", "amplitude", "0.06", "0.0582", "...", "0.0618", "N.m"]
+    made = asked["made"].CASES["named"]()
+    for line in (made.experiment, *made.findings):
+        assert f"  - {line}" in lines
     assert lines[-1] == f"named  {tmp_path / 'out' / 'report.html'}"
     assert sorted(os.listdir(tmp_path / "out")) == sorted(export.OURS)
 
@@ -98,6 +101,7 @@ def test_whatever_it_finds_it_completed(call: Call, asked: dict[str, Any], tmp_p
     assert "report.html" in said
     for line in asked["made"].CASES[case]().proposals:
         assert line in said
+    assert ("give --choose: bias, asymmetric_coulomb" in said) == (case == "tie")
 
 
 def test_an_fmu_is_its_own_model_unless_there_is_one_beside_it(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:

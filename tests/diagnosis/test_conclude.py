@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bristle.diagnosis.candidates import Candidate
-from bristle.diagnosis.conclude import mute_parameters, unnamed
+from bristle.diagnosis.conclude import choices_of, mute_parameters, unnamed
 from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.result import Estimate, Remains
@@ -60,3 +62,19 @@ def test_records_that_tell_no_parameter(intervals: dict[str, tuple[float, float]
 def test_what_ends_at_a_bound_is_not_told() -> None:
     plain = {"J": Estimate(0.05, "kg.m2", (-0.02, 0.12)), "Fc": Estimate(0.5, "N.m", (0.49, 0.51), at_bound=True)}
     assert mute_parameters(plain) == ("J", "Fc")
+
+
+def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() -> None:
+    tried = tuple(Candidate(name, None) for name in ("bias", "asymmetric_coulomb", "gravity"))
+    first = replace(round_of("bias", ("asymmetric_coulomb",)), candidates=tried, named=True)
+    second = replace(round_of("gravity"), candidates=tried, named=True)
+    last = replace(round_of(), candidates=tried)
+
+    def names(rounds: list[Verdict], undecided: tuple[str, ...], named: tuple[str, ...]) -> list[str]:
+        return [c.name for c in choices_of(rounds, undecided, named)]
+
+    assert names([last], ("bias", "gravity"), ()) == ["bias", "gravity"]
+    assert names([first, last], (), ("bias",)) == ["asymmetric_coulomb"]
+    assert names([first, second, last], (), ("bias", "gravity")) == []  # gravity was fitted beside the bias
+    assert names([first, last], (), ("gravity",)) == []  # the bias was dropped later
+    assert names([last], (), ()) == []

@@ -256,8 +256,17 @@ def test_a_folder_in_the_way_stays(answer, tmp_path):
     assert (tmp_path / "report.html" / "precious").read_text() == "mine"
 
 
-def test_a_class_mate_of_what_was_named_cannot_be_chosen(answer):
-    named = answer("named")
-    tied = replace(named, ties=((named.effects[0].name, "gravity"),))
-    with pytest.raises(BristleError, match="of one class"):
-        export.augment(tied, "gravity")
+def test_a_class_mate_takes_the_place_of_what_was_named(answer):
+    named, tie = answer("named"), answer("tie")
+    torque, own = tie.choices["bias"], {"J": Estimate(0.0107, "kg.m2", None)}
+    open_ = {"ties": (("cogging", "bias"),), "choices": {"bias": torque}, "choice_parameters": {"bias": own}}
+    chosen = export.augment(replace(named, **open_), "bias")
+    assert chosen.effects == chosen.added == ("bias",)
+    assert chosen.parameters["bias.torque"] == torque["torque"].value
+    assert chosen.parameters["J"] == 0.0107
+    assert export.augment(replace(named, **open_), "cogging") == export.augment(named)  # what was named already
+
+
+def test_a_class_mate_of_what_others_were_added_to_cannot_be_chosen(answer):
+    with pytest.raises(BristleError, match=r"'cogging' stands for it, .* leave it out, or give the model 'gravity'"):
+        export.augment(replace(answer("named"), ties=(("cogging", "gravity"),)), "gravity")

@@ -203,7 +203,8 @@ def test_nearly_the_same_rate_is_the_same(model):
         (lambda t, u, y: (t, u, 0 * y + 3.0), ["nothing moves", "[output] column"]),
         (lambda t, u, y: (t, u, counts(1e-3 * y, 5e-3)), ["nothing moves", "resolution"]),
         (lambda t, u, y: (t, u[:-1], y), ["different length", "input 5999"]),
-        (lambda t, u, y: (t, u, 1e300 * y), ["output reaches 6.6", "e+300 rad, allowed 1e+30"]),
+        (lambda t, u, y: (t, u, 1e300 * y), ["output reaches 6.6", "e+300 rad, allowed 1e-30 to 1e+30"]),
+        (lambda t, u, y: (t, 1e-300 * u, y), ["input reaches", "e-301 N.m, allowed 1e-30 to 1e+30"]),
         (lambda t, u, y: (t, 1e300 * u, y), ["input reaches", "e+299 N.m", "check its column"]),
         (lambda t, u, y: (t, u, np.column_stack([y, y])), ["output has shape (6000, 2)"]),
         (lambda t, u, y: (t, u, ["fast"] * N), ["output is not an array of numbers"]),
@@ -281,6 +282,21 @@ def test_one_wrap_is_enough(model):
     record = one(model, t, u, np.mod(y, 2 * np.pi))
     assert record.wrapped
     np.testing.assert_allclose(record.y, y, atol=1e-9)
+
+
+def test_a_counter_that_wraps_once_is_unwrapped(model):
+    t, u, _ = motion()
+    y = 31.0 + np.round(t / 1e-3) * 1e-3  # 16 bits in steps of 1 mrad wrap at 32.768 rad
+    record = one(model, t, u, np.where(y < 32.768, y, y - 65.536))
+    only(record, "wraps by 65.536 rad 1 times", "unwrapped")
+    np.testing.assert_allclose(record.y, y, atol=1e-9)
+
+
+def test_a_lone_jump_of_another_size_is_told(model):
+    t, u, y = motion()
+    record = one(model, t, u, y + np.where(t > 3.0, 50.0, 0.0))
+    only(record, "position jumps once by 50 rad after 3 s", "cut the record there")
+    assert not record.wrapped
 
 
 def test_a_position_that_wraps_by_360_tells_of_its_unit(model):

@@ -178,5 +178,16 @@ def test_units_and_scales():
         si_column("record r: input", columns, "v", "V", None, "V")
     with pytest.raises(BristleError, match=r"record r: input: unit 'V' does not fit"):
         si_column("record r: input", columns, "u", "V", None, "N.m")
+    with pytest.raises(BristleError, match=r"unit 'N\.m' with scale '3 rad' gives none like 'N\.m'"):
+        factor_to("N.m", "3 rad", "N.m")
+    with pytest.raises(BristleError, match=r"x{40}\.\.\., c1, .* and 11 more$"):
+        si_column("record r: input", {"x" * 10_000: np.ones(3)} | {f"c{i}": np.ones(3) for i in range(1, 31)}, "v", "V", None, "V")
     with pytest.raises(BristleError, match="is not a number with a unit"):
         factor_to("V", "much", "V")
+
+
+def test_a_csv_in_another_encoding_is_told_from_a_broken_one(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_bytes("t,Größe\n0,1\n".encode("latin-1"))
+    with pytest.raises(BristleError, match=r"r\.csv: is not UTF-8 text; save it as CSV in UTF-8"):
+        read_columns(path)
