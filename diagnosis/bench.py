@@ -39,7 +39,8 @@ EVEN = 6.0  # nats between two fits that the records hardly tell apart
 class Bench:
     """Everything that stays the same over a search.
 
-    `barred` says why an effect is no candidate; `turn` is the path after which a motion begins anew: one turn of a shaft.
+    `barred` says why an effect is no candidate; `turn` is the path after which a motion begins anew: one turn of a shaft;
+    `doubtful`: the input may change between samples.
     """
 
     segments: Segments
@@ -50,6 +51,7 @@ class Bench:
     barred: Mapping[str, str] = field(default_factory=dict)
     linear: bool = False  # the axis does not turn
     turn: float = 2 * math.pi
+    doubtful: bool = False
 
     @cached_property
     def train(self) -> Mask:

@@ -60,7 +60,7 @@ def conclude(
         statement=story.statement(verdict, effects, ties, gap, left, intervals, mute),
         effects=effects,
         ties=tuple(ties),
-        experiment=story.experiment(ties, left, bench.narrow),
+        experiment=story.experiment(ties, left, bench.narrow, bool(named)),
         where=where,
         remains=left,
         gap=gap,

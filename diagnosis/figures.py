@@ -363,7 +363,8 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
         "gap": ("The gap", f"Root of the mean squared error over {segments}.{band}{shrink}"),
         "overlay": (
             "Before and after" if both else "Measured and simulated",
-            f"Each segment starts from its own fitted position and velocity.{before} Green shade: held out of the search.",
+            f"Each segment starts from its own fitted position and velocity.{before} "
+            "Green shade: held out of the search and of these fits, so that a step there is known only to its edges.",
         ),
         "maps": (
             "Where the difference lives",

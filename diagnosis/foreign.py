@@ -28,7 +28,7 @@ from bristle.diagnosis.record import Record
 from bristle.diagnosis.search import Tell
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.workflow import examine, mend_first, must_be
+from bristle.diagnosis.workflow import examine, mend_first, must_be, retried
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.model.errors import BristleError
@@ -89,12 +89,16 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     BristleError
         If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records are too short.
     """
-    begun = time.perf_counter()
     must_be(model, records)
     tell = progress or (lambda text, fraction: None)
     fmu = _checked(Fmu(Path(fmu_path), foreign=True), model)
+    return retried(lambda given, begun: _diagnosed(fmu, model, given, tell, begun), records)
+
+
+def _diagnosed(fmu: Fmu, model: Model, records: Sequence[Record], tell: Tell, begun: float) -> answer.Diagnosis:
     bench, said = bench_of(model, records), check(model, records)
     segments, lines = _simulated(fmu, bench, tell)
+    lines += _units(fmu, model)
     if said.proposals:
         gap = replace(bench, segments=segments)
         return mend_first(model, records, said, nominal_gap(gap, *base_of(model, gap)), time.perf_counter() - begun, lines)
@@ -256,6 +260,20 @@ def _around(model: Model, like: Model) -> dict[str, tuple[float, float]]:
 
 
 # -- what is said of it ------------------------------------------------------------------------------------------------
+
+
+def _units(fmu: Fmu, model: Model) -> list[str]:
+    """Return a line if the FMU declares another unit for its input than the records have, and was given their numbers.
+
+    (Plants of ours have their input in V; one with b = 1 N.m/V stands for a plant that takes a torque.)
+    """
+    unit = fmu.unit(INPUT)
+    if unit in ("1", model.input_unit) or (fmu.has("b", "parameter") and float(fmu.start("b")) == 1.0):
+        return []
+    return [
+        f"input {INPUT} of {fmu.path.name} is in {unit}, that of the records in {model.input_unit}, and was given their numbers: "
+        "if one is not worth the other, export the FMU with that input or correct [input]"
+    ]
 
 
 def _closeness(fmu: Fmu, model: Model, twin: Twin) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from bristle.diagnosis.bench import Bench, Stage, base_servo, settle_well
 from bristle.diagnosis.candidates import ELASTIC, RIGID, Servo, freedom, idle
 from bristle.diagnosis.excitation import excitation
+from bristle.diagnosis.feed import SLOW
 from bristle.diagnosis.fit import Free, evaluate
 from bristle.diagnosis.lens import motion
 from bristle.diagnosis.modelfile import Model
@@ -52,7 +53,8 @@ def bench_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT) 
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h))
     barred = {"stribeck": f"the law '{model.friction}' has a Stribeck curve of its own"} if _falls(model) else {}
-    bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"], barred)
+    doubtful = h >= SLOW and not any(r.ahead for r in records)
+    bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"], barred, doubtful=doubtful)
     if not model.linear:
         return bench
     barred |= {name: "needs a shaft that turns: this axis is linear" for name in ONCE}

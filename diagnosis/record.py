@@ -35,6 +35,8 @@ class Record:
         Whether the position was recorded within one turn, and is unwrapped here.
     resampled : bool
         Whether samples were interpolated.
+    ahead : float
+        Share of the next sample in `u`, where the input was found to change between the samples.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Record:
     resolution: float | None = None
     wrapped: bool = False
     resampled: bool = False
+    ahead: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)

@@ -28,6 +28,7 @@ from bristle.diagnosis.candidates import (
     scanned,
     starts,
 )
+from bristle.diagnosis.feed import must_be_held
 from bristle.diagnosis.fit import Fit, Problem, evaluate, promise, refit, rescored, resume
 from bristle.diagnosis.judge import AGREED, CLEAR, DOUBTLESS, SIZE, Verdict, judged
 from bristle.diagnosis.lens import Lens
@@ -314,11 +315,15 @@ def reconsidered(bench: Bench, stage: Stage, verdict: Verdict) -> Verdict:
 
 
 def search(bench: Bench, base: Stage, tell: Tell) -> tuple[Stage, list[Verdict]]:
-    """Add effects one after the other as long as one is found that is certain and large enough."""
+    """Add effects one after the other as long as one is found that is certain and large enough.
+
+    Raises `NotHeldError` where the input that was not held would have to be explained by effects.
+    """
     stage = base
     rounds: list[Verdict] = []
     taken = set(base.servo.effects)
     while True:
+        must_be_held(bench, stage)
         classes = {group(name) for name in taken}
         names = [name for name in all_effects() if group(name) not in classes]
         first = rounds[0].gain if rounds else None

@@ -47,9 +47,11 @@ def words(name: str) -> str:
     return find_effect(name).description
 
 
-def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str) -> str:
+def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, named: bool = False) -> str:
     """Return what to measure next, or an empty text; `narrow` says why the motion is too uniform, if it is."""
     lines = [f"Nothing can be named for certain on records of such a motion: {narrow}."] if narrow else []
+    if narrow and named:
+        lines = [f"On records of such a motion other effects look much alike, so confirm the name on more varied ones: {narrow}."]
     for tie in ties:
         known = SEPARATE.get(frozenset(tie))
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from bristle.diagnosis import result as answer
 from bristle.diagnosis.bench import Bench, Stage, settle
 from bristle.diagnosis.conclude import conclude, fell_between, gap_between, views_beside
 from bristle.diagnosis.excitation import excitation
+from bristle.diagnosis.feed import NotHeldError, fed
 from bristle.diagnosis.modelfile import REACH, Model, must_be_model
 from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
@@ -45,9 +46,21 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     BristleError
         If there is no record, if all are too short, or if the model cannot be simulated.
     """
-    begun = time.perf_counter()
     must_be(model, records)
     tell = progress or (lambda text, fraction: None)
+    return retried(lambda given, begun: _diagnosed(model, given, tell, begun), records)
+
+
+def retried(work: Callable[[Sequence[Record], float], answer.Diagnosis], records: Sequence[Record]) -> answer.Diagnosis:
+    """Return what a diagnosis of records gives, begun at a time [s]; once more if their input was not held."""
+    begun = time.perf_counter()
+    try:
+        return work(records, begun)
+    except NotHeldError as found:
+        return work(fed(records, found), begun)
+
+
+def _diagnosed(model: Model, records: Sequence[Record], tell: Tell, begun: float) -> answer.Diagnosis:
     said = check(model, records)
     bench = bench_of(model, records)
     if said.proposals:

@@ -14,7 +14,8 @@ BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D
 DEGREES = 180.0 / math.pi
 POINTS = 1200  # of a curve
 TICKS = 5  # intervals between ticks, at most
-MARGINS = (0.62, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
+MARGINS = (0.74, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
+BESIDE, LETTER = 0.11, 0.074  # inches between an axis and its tick labels, both gaps together; width of a letter of these
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"], "font.size": 9,
     "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
@@ -39,11 +40,25 @@ def svg(figure: Any, salt: str) -> str:
         for axis in (ax.xaxis, ax.yaxis):
             if isinstance(axis.get_major_locator(), AutoLocator):
                 axis.get_major_locator().set_params(nbins=TICKS)
+    _place_labels(figure)
     out = io.StringIO()
     with rc_context({"svg.hashsalt": f"bristle-{salt}"}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]
+
+
+def _place_labels(figure: Any) -> None:
+    """Put the names of y axes beside their tick labels, in one line for axes that begin at one place."""
+    named = [ax for ax in figure.axes if ax.get_ylabel()]
+    columns: dict[float, float] = {}
+    for ax in named:
+        ticks = ax.yaxis.get_major_formatter().format_ticks(ax.yaxis.get_majorticklocs())
+        place = round(ax.get_position().x0, 3)
+        columns[place] = max(columns.get(place, 0.0), BESIDE + LETTER * max(map(len, ticks), default=0))
+    for ax in named:
+        width = ax.get_position().width * figure.get_size_inches()[0]
+        ax.yaxis.set_label_coords(-columns[round(ax.get_position().x0, 3)] / width, 0.5)
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -65,11 +80,10 @@ def set_title(ax: Any, text: str, **style: Any) -> None:
 
 
 def set_labels(ax: Any, x: str | None = None, y: str | None = None) -> None:
-    """Name the axes, the labels at fixed distances in inches."""
-    width, height = (size * share for size, share in zip(ax.figure.get_size_inches(), ax.get_position().size, strict=True))
+    """Name the axes, that of x at a fixed distance in inches, that of y where `svg` puts it."""
+    height = ax.figure.get_size_inches()[1] * ax.get_position().height
     if x is not None:
         ax.set_xlabel(x)
         ax.xaxis.set_label_coords(0.5, -0.31 / height)
     if y is not None:
         ax.set_ylabel(y)
-        ax.yaxis.set_label_coords(-0.44 / width, 0.5)

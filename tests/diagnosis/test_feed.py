@@ -1,0 +1,65 @@
+"""An input that changed between the samples is found out, and taken as it was on average; one that was held stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis import diagnose, records_from_arrays
+from bristle.diagnosis.bench import settle_well
+from bristle.diagnosis.feed import SLOW, NotHeldError, fed, must_be_held
+from bristle.diagnosis.prepare import base_of, bench_of
+
+EVERY = 8  # sample of a drive that works at 1 kHz is logged
+
+
+@pytest.fixture
+def logged(measured, model):
+    """Return what gives two records that are logged too slowly; the input as it was then, or averaged until the next sample."""
+
+    def of(name=None, averaged=False, every=EVERY):
+        runs = []
+        for seed in (1, 2):
+            t, u, y, _ = measured(name, seed) if name else measured(seed=seed, plain=1)
+            means = u.reshape(-1, every).mean(axis=1)
+            runs.append((f"run {seed}", t[::every], means if averaged else u[::every], y[::every]))
+        return records_from_arrays(model, runs)
+
+    return of
+
+
+def begun(model, records):
+    bench = bench_of(model, records)
+    return bench, settle_well(bench, *base_of(model, bench))
+
+
+def test_an_input_that_changes_between_the_samples_is_found_out(model, logged):
+    records = logged()
+    with pytest.raises(NotHeldError) as found:
+        must_be_held(*begun(model, records))
+    assert found.value.share == pytest.approx((EVERY - 1) / (2 * EVERY), abs=0.05)  # the mean place of what the drive held
+    again = fed(records, found.value)
+    assert "between the samples" in again[0].findings[-1]
+    np.testing.assert_allclose(again[1].u[:-1], records[1].u[:-1] + found.value.share * np.diff(records[1].u))
+    must_be_held(*begun(model, again))  # is asked once
+
+
+@pytest.mark.parametrize("name", [None, "bias", "input_delay", "compliance"])
+def test_an_input_that_was_held_stays(model, logged, name):
+    must_be_held(*begun(model, logged(name, averaged=True)))
+
+
+def test_what_is_logged_as_fast_as_the_drive_works_is_not_asked(model, logged):
+    bench, base = begun(model, logged(every=1))
+    assert bench.segments.h < SLOW
+    assert not bench.doubtful
+    must_be_held(replace(bench, doubtful=True), base)  # and would stay
+
+
+def test_what_is_missing_is_named_alone_once_the_input_is_right(model, logged):
+    """The base fit without it hides the input's delay; it comes to light when the effect is added."""
+    found = diagnose(model, logged("bias"))
+    assert [e.group for e in found.effects] == ["bias/asymmetric_coulomb"]
+    assert any("between the samples" in line for line in found.findings)

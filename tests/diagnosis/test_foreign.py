@@ -1,0 +1,56 @@
+"""A plant FMU as the model: what it lacks is named, what it has is not, and what is odd about it is said."""
+
+from __future__ import annotations
+
+import pytest
+
+from bristle.diagnosis import Model, diagnose_fmu, records_from_arrays
+from bristle.fmus import obtain
+
+SERVO = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "u_max": 1e6}
+
+
+@pytest.fixture
+def records(measured, model):
+    """Return what gives two records of a servo with an effect, or of one without."""
+
+    def of(name=None):
+        runs = {seed: measured(name, seed) if name else measured(seed=seed, plain=1) for seed in (1, 2)}
+        return records_from_arrays(model, [(f"run {seed}", t[:8000], u[:8000], y[:8000]) for seed, (t, u, y, _) in runs.items()])
+
+    return of
+
+
+def said(found, *words):
+    assert any(all(word in line for word in words) for line in found.findings), found.findings
+
+
+def test_what_the_fmu_lacks_is_named(model, records):
+    fmu = obtain("plant", law="coulomb", parameters=SERVO)
+    found = diagnose_fmu(fmu, model, records("gravity"))
+    assert [e.name for e in found.effects] == ["gravity"]
+    assert found.effects[0].parameters["amplitude"].value == pytest.approx(0.3, rel=0.03)
+    assert found.gap.after < 0.01 * found.gap.before
+    said(found, "for each of 40 segments")
+    said(found, "a servo with coulomb friction follows")
+
+
+def test_without_a_model_that_comes_near_the_fmu_nothing_is_named(model, records):
+    fmu = obtain("plant", law="coulomb", effects=("gravity",), parameters=SERVO | {"gravity.amplitude": 0.3})
+    found = diagnose_fmu(fmu, model, records("gravity"))
+    assert found.verdict == "not_identifiable"
+    assert "Give a MODEL.toml with the FMU's own friction law, effects" in found.statement[0]
+
+
+def test_what_the_fmu_has_is_not_named_and_its_wrong_parameter_is_told(tree, records):
+    model = Model.from_dict(tree | {"effects": {"gravity": {"amplitude": 0.3, "phase": 0.0}}})
+    off = SERVO | {"coulomb.Fc": 0.09, "gravity.amplitude": 0.3}
+    fmu = obtain("plant", law="coulomb", effects=("gravity",), parameters=off)
+    found = diagnose_fmu(fmu, model, records("gravity"))
+    assert found.verdict == "none"
+    said(found, "coulomb.Fc", "25% too low")
+
+
+def test_an_input_in_another_unit_is_told(model, records):
+    found = diagnose_fmu(obtain("plant", law="coulomb", parameters=SERVO | {"b": 0.5}), model, records())
+    said(found, "is in V, that of the records in N.m", "given their numbers")
