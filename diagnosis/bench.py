@@ -125,8 +125,12 @@ class Bench:
 
     def odd(self, fit: Fit) -> bool:
         """True if a model misses some segment by far, or calls a large part of the torque a disturbance."""
+        return bool(fit.weight[self.train].min() < ODD) or self.disturbance(fit) > LOUD
+
+    def disturbance(self, fit: Fit) -> float:
+        """Return the torque that a model takes for a disturbance, over that of the input; rms."""
         drive = abs(fit.values["b"]) * float(np.sqrt(np.mean(np.square(self.motion.u))))
-        return bool(fit.weight[self.train].min() < ODD) or fit.noise.torque > LOUD * drive
+        return fit.noise.torque / drive if drive else 0.0
 
     def joint(self, stage: Stage) -> Joint:
         """Return where a model and an effect may start together."""

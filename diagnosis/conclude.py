@@ -40,7 +40,10 @@ def conclude(
     ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
     named = final.servo.effects[len(model.effects) :]
     gap = gap_between(model, bench, base, final)
-    left = remains(after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final), bench.odd(final.fit))
+    left = remains(
+        after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final), bench.odd(final.fit),
+        bench.disturbance(final.fit),
+    )  # fmt: skip
     undecided = () if named else _open(last)
     mute = () if named or undecided else mute_parameters(plain)
     verdict = "named" if named else unnamed(last, bench.narrow, left, mute)

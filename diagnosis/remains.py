@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bristle.diagnosis import result as answer
+from bristle.diagnosis.bench import LOUD
 from bristle.diagnosis.views import MEASURED, STRETCHES, Share, is_form, is_same, periods_of
 from bristle.plant.effects import effect as find_effect
 
@@ -25,11 +26,13 @@ def remains(
     turn: float,
     fell: float,
     odd: bool = False,
+    disturbance: float = 0.0,
 ) -> answer.Remains:
-    """Say whether something predictable is left that is neither small nor only the form of what was named.
+    """Say whether something is left that is neither small nor only the form of what was named.
 
     `fell` is the factor by which the error fell on segments kept from the search, none of them counting for much;
-    with `odd` the model misses some stretch by far.
+    with `odd` the model misses some stretch by far; `disturbance` is the torque that it takes for one, over that of the
+    input: where nothing is named and this is large, there is more to it, whether a view shows it or not.
     What repeats as a multiple of a named wave is its form. What repeats as the wave itself, which was free to take it up,
     is something else, and evidence in that view alone is enough.
     """
@@ -38,7 +41,7 @@ def remains(
     waves = [periods for name in named if (periods := periods_of(name, values, turn)) is not None]
     left = gap.after / gap.before if gap.before > 0 else 1.0
     if named and fell < 1 and not rattles and not any(find_effect(name).local for name in named):
-        return answer.Remains(True, seen[0].view, seen[0].share)
+        return answer.Remains(True, seen[0].view, seen[0].share, disturbance)
     certain = []
     for share in seen:
         same = any(is_same(share.periods, wave) for wave in waves)
@@ -50,6 +53,6 @@ def remains(
         else:
             large = share.share >= (FAINT if share.p <= SUREST else SOME if odd else LEFT)
         if large and not any(is_form(share.periods, wave) for wave in waves):
-            return answer.Remains(True, share.view, share.share)
+            return answer.Remains(True, share.view, share.share, disturbance)
     first = (certain or after)[0]
-    return answer.Remains(False, first.view if certain else None, first.share)
+    return answer.Remains(not named and disturbance > LOUD, first.view if certain else None, first.share, disturbance)

@@ -179,11 +179,10 @@ def _remains(diagnosis: Diagnosis) -> str:
     if not (left.flag or diagnosis.where):
         return ""  # nothing was looked for
     if left.flag:
-        where = f" from <b>{escape(view_name(left.view))}</b>" if left.view else ""
-        return (
-            f'<p class="alarm">Something remains: {share} of the residual can be predicted{where}, '
-            "and no effect of the catalogue explains it.</p>"
-        )
+        seen = f"{share} of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
+        taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's torque"
+        said = taken if left.view is None else seen
+        return f'<p class="alarm">Something remains: {said}, and no effect of the catalogue explains it.</p>'
     if left.view is None:
         return "<p>Nothing that stands out: no view predicts more of the residual than chance gives.</p>"
     return f"<p>Nothing that stands out: at most {share} of the residual can be predicted from any view.</p>"

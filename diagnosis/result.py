@@ -89,11 +89,15 @@ class View:
 
 @dataclass(frozen=True)
 class Remains:
-    """Whether something predictable is left that no effect explains, where, and its share of the residual."""
+    """Whether something is left that no effect explains, where (None: no view shows it), and its share of the residual.
+
+    `disturbance`: the torque that it takes for a disturbance, over that of the input; rms.
+    """
 
     flag: bool
     view: str | None
     share: float
+    disturbance: float = 0.0
 
 
 @dataclass(frozen=True)

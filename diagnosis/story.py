@@ -56,7 +56,9 @@ def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, nam
         known = SEPARATE.get(frozenset(tie))
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)
         lines.append(f"To tell {' and '.join(tie)} apart: {known or each}.")
-    if remains.flag:
+    if remains.flag and remains.view is None:
+        lines.append("Look for what is loose, and measure on the other side of it too; and log all that acts on the axis.")
+    elif remains.flag:
         again = f"motion that varies {view_name(remains.view or '')} most"
         if remains.view == STRETCHES:
             again = "again what happens in the stretches that stand out"
@@ -143,8 +145,9 @@ def statement(
     else:
         lines.append(f"The rms error of the output is {rms[0]:.3g} {gap.output_unit} with refitted parameters; {alone}.")
     if remains.flag:
-        where = view_name(remains.view or "")
-        lines.append(f"Something remains that none of the effects explains: {remains.share:.0%} of the residual follows {where}.")
+        follows = f"{remains.share:.0%} of the residual follows {view_name(remains.view or '')}"
+        taken = f"it would take a disturbance of {remains.disturbance:.0%} of the input's torque, and no view shows where it lives"
+        lines.append(f"Something remains that none of the effects explains: {taken if remains.view is None else follows}.")
     return (*lines, *_at_ends(base))
 
 

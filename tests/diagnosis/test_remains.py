@@ -13,9 +13,9 @@ TURN = 2 * np.pi
 HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the error
 
 
-def said(share, *named, gap=HALF, turn=TURN, odd=False, **values):
+def said(share, *named, gap=HALF, turn=TURN, odd=False, disturbance=0.0, **values):
     """What remains of a residual in which one view shows."""
-    return remains([share, Share("t", 0.01, 1.0)], values, named, gap, turn, gap.before / gap.after, odd)
+    return remains([share, Share("t", 0.01, 1.0)], values, named, gap, turn, gap.before / gap.after, odd, disturbance)
 
 
 def test_what_is_sure_and_large_remains_in_whatever_view():
@@ -40,6 +40,15 @@ def test_less_is_enough_where_a_stretch_is_far_off(share, flag):
     assert not said(Share("tone", share, 0.02)).flag
     assert not said(Share("tone", share, 0.05), odd=True).flag
     assert not said(Share("tone", share, 0.02), "gravity", odd=True).flag
+
+
+@pytest.mark.parametrize(("disturbance", "flag"), [(0.11, False), (1.8, True)])
+def test_a_disturbance_as_large_as_the_drive_is_none(disturbance, flag):
+    """A play behind which only the sensor sits: whatever it does looks like a torque of its own."""
+    nothing = Share("theta x a", 1.0, 0.049)
+    left = said(nothing, disturbance=disturbance)
+    assert (left.flag, left.view, left.disturbance) == (flag, None, disturbance)
+    assert not said(nothing, "gravity", disturbance=disturbance).flag
 
 
 def test_what_is_left_of_a_gap_that_was_closed_is_small():
