@@ -22,7 +22,7 @@ from score import Judged
 
 from bristle.diagnosis import search
 
-SEED, SCALE = "slow", 0.02
+SEED, SCALE = "slow, second", 0.02
 EVERY = (4, 16)
 WAYS = ("held", "found")
 
