@@ -235,7 +235,7 @@ def explore(
         values |= {f.name: f.inside(values[f.name]) for f in free}
         first = eased(problem, evaluate(problem, simulator, (*own, *free), values, fit.starts), ease)
         banks.append(_bank(lens, fit, first, len(free)))
-        trials.append(_worth(first, quiet))
+        trials.append(worth(first, quiet))
     for together, moving in joint:
         free = freedom(name, moving, servo.limits)
         alone = {key: value for key, value in together.items() if key.startswith(f"{name}.")}
@@ -244,16 +244,16 @@ def explore(
             whole = {**defaults, **fit.values, **others}
             inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
             first = evaluate(problem, simulator, (*own, *free), whole | inside, begin)
-            trials.append(_worth(eased(problem, first, ease), quiet))
+            trials.append(worth(eased(problem, first, ease), quiet))
     trials.sort(key=lambda trial: -trial[0])
     if contact(name) and trials[0][0] > fit.total - NEAR:  # which is near the truth shows only when the load lies where it may
         near = [trial for promised, trial in trials[:LAID] if promised > fit.total - NEAR]
-        trials = sorted((_worth(laid(problem, trial), quiet) for trial in near), key=lambda trial: -trial[0])
+        trials = sorted((worth(laid(problem, trial), quiet) for trial in near), key=lambda trial: -trial[0])
     (promised, best), *rest = trials[: max(effort.starts, WAVES if far and f"{name}.periods" in defaults else 0)]
     return Candidate(name, best, tuple(banks), promised, tuple(fit for _, fit in rest))
 
 
-def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
+def worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
     """Return the log-likelihood that a step from here promises, and the fit, under the noise that it leaves."""
     problem = quiet(fit)
     fit = rescored(problem, fit)
@@ -261,9 +261,9 @@ def _worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
 
 
 def _reached(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
-    """Return what steps have led to as `_worth` does; a loose load is laid anew, and a step promises what none can keep there."""
+    """Return what steps have led to as `worth` does; a loose load is laid anew, and a step promises what none can keep there."""
     if not fit.simulator.loose:
-        return _worth(fit, quiet)
+        return worth(fit, quiet)
     fit = laid(quiet(fit), fit, EASE)
     fit = rescored(quiet(fit), fit)
     return fit.total, fit

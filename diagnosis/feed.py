@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from bristle.diagnosis.bench import Bench, Stage
-from bristle.diagnosis.fit import Fit, evaluate, promise, rescored
+from bristle.diagnosis.candidates import worth
+from bristle.diagnosis.fit import Fit, evaluate
 from bristle.diagnosis.record import Record
 from bristle.model.table import Array
 
@@ -46,16 +47,16 @@ def must_be_held(bench: Bench, stage: Stage) -> None:
     """
     if not bench.doubtful:
         return
-    held = _promised(bench, stage, 0.0)
-    if _promised(bench, stage, PROBE) < held + SURE:
+    held, _ = worth(stage.fit, bench.left_by)
+    if _with(bench, stage, PROBE)[0] < held + SURE:
         return
-    promised = [_promised(bench, stage, share) for share in SHARES]
+    promised = [_with(bench, stage, share)[0] for share in SHARES]
     best = int(np.argmax(promised))
     raise NotHeldError(_climbed(bench, stage, best), promised[best] - held)
 
 
-def _with(bench: Bench, stage: Stage, share: float) -> Fit:
-    """Return a servo with another input, under the noise that this leaves.
+def _with(bench: Bench, stage: Stage, share: float) -> tuple[float, Fit]:
+    """Return what a servo with another input is `worth`, and its fit, under the noise that this leaves.
 
     Under the noise of an input that was held, the best share of records of 100 Hz from a drive of 1 kHz seemed to be 0.38; it
     is 0.45, the mean place of the ten values that the drive held.
@@ -63,13 +64,7 @@ def _with(bench: Bench, stage: Stage, share: float) -> Fit:
     pieces = tuple(replace(piece, u=mixed(piece.u, share)) for piece in bench.segments.pieces)
     simulator = stage.servo.simulator(replace(bench.segments, pieces=pieces))
     fit = evaluate(stage.problem, simulator, stage.fit.free, stage.fit.values, stage.fit.starts)
-    return rescored(bench.left_by(fit), fit)
-
-
-def _promised(bench: Bench, stage: Stage, share: float) -> float:
-    """Return the log-likelihood with another input that a step of the parameters promises [nats]."""
-    fit = _with(bench, stage, share)
-    return fit.total + promise(bench.left_by(fit), fit)
+    return worth(fit, bench.left_by)
 
 
 def _climbed(bench: Bench, stage: Stage, best: int) -> float:
@@ -81,7 +76,7 @@ def _climbed(bench: Bench, stage: Stage, best: int) -> float:
 
     def settled(k: int) -> float:
         if k not in total:
-            total[k] = bench.settled(_with(bench, stage, SHARES[k])).total
+            total[k] = bench.settled(_with(bench, stage, SHARES[k])[1]).total
         return total[k]
 
     while (near := max((k for k in (best, best + 1, best - 1) if 0 <= k < len(SHARES)), key=settled)) != best:

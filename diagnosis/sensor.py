@@ -86,14 +86,12 @@ def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
     sizes = np.abs(d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)]))
     full = 2.0 * np.pi
     turn = float(np.median(sizes))
-    likely = [known for known in ((full, 360.0, 1.0) if not model.linear else ()) if abs(turn - known) < 0.02 * known]
-    counter = _counter(turn, resolution)
-    if likely:
-        turn = likely[0]
-    elif resolution:
-        turn = counter or resolution * round(turn / resolution)
+    known = next((size for size in ((full, 360.0, 1.0) if not model.linear else ()) if abs(turn - size) < 0.02 * size), None)
+    counter = None if known else _counter(turn, resolution)
+    turn = known or counter or (resolution * round(turn / resolution) if resolution else turn)
+    sure = known == full or counter is not None
     fits = span <= 1.02 * turn and np.max(np.abs(sizes - turn)) <= 0.1 * turn
-    if len(jumps) < 2 and not (fits and (counter or (turn == full and not model.linear))):  # of any size it may be a slip
+    if len(jumps) < 2 and not (fits and sure):  # one of any size may be a slip
         where = f"after {raw.time[jumps[0]]:.6g} s"
         raw.say(f"position jumps once by {turn:.4g} {model.output_unit} {where}: a lost reading or a wrap? cut the record there")
         return False
@@ -101,7 +99,7 @@ def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
         return False
     raw.y = raw.y + np.concatenate([[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))])
     first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
-    if model.linear or turn == full or counter:
+    if model.linear or sure:
         raw.say(f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped")
     else:
         raw.say(

@@ -70,6 +70,11 @@ def standings(pairs: Iterable[tuple[Any, Any]]) -> dict[tuple[str, str], Counter
     return {key: counts[key] for key in sorted(counts, key=lambda key: (GROUPS.index(key[0]), key[1] == "other"))}
 
 
+def label(group: str, form: str) -> str:
+    """Return a group and a form in words."""
+    return f"{group}, {'own' if form == 'same' else 'other'} form"
+
+
 def prices(missing: np.ndarray, figures: np.ndarray) -> dict[int, int]:
     """Return for each number of right effects that least values of the figures (n, 4) let pass the fewest wrong ones with them."""
     found: dict[int, int] = {}
@@ -86,8 +91,8 @@ def main() -> None:
     out = parser.parse_args().out
     pairs = answered(out)
     where = [
-        f"| {group}, {'own' if form == 'same' else 'other'} form | {count['']} | {' | '.join(str(count[s]) for s in STANDS)} |"
-        for (group, form), count in standings(pairs).items()
+        f"| {label(*key)} | {count['']} | {' | '.join(str(count[s]) for s in STANDS)} |"
+        for key, count in standings(pairs).items()
     ]
     missing, figures = (np.array(column) for column in zip(*refused(pairs), strict=True))
     rows = [f"| {right} | {wrong} |" for right, wrong in prices(missing, figures).items()]

@@ -29,7 +29,7 @@ WAYS = ("held", "found")
 
 def thinned(case: Path, every: int, folder: Path) -> Path:
     """Write every so many-th sample of a case, and return the folder."""
-    import numpy as np
+    import numpy as np  # after the threads are set
 
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(case / "model.toml", folder)

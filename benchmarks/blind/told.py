@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 from unittest.mock import patch
 
 import run  # sets the threads, before numpy
-from refused import GROUPS, STANDS, stood
+from refused import GROUPS, STANDS, label, standings, stood
 from score import Judged
 
 from bristle.diagnosis import candidates, search
@@ -71,20 +70,18 @@ def missed(out: Path) -> list[tuple[Any, Any]]:
 
 def table(pairs: Iterable[tuple[Any, Any]], found: Callable[[Any], Any]) -> str:
     """Return the counts by group and form, and a line for each case, of (answer, result) and what is `found` when told."""
-    counts: dict[tuple[str, str], Counter[str]] = {}
+    judged = [(Judged(answer, found(answer)), result) for answer, result in pairs]
+    rows = []
+    for key, count in standings((j.answer, j.result) for j, _ in judged).items():
+        stands = [count[stand] for stand in STANDS]
+        rows.append(f"| {label(*key)} | {count['']} | {count[''] - sum(stands)} | {' | '.join(map(str, stands))} |")
     lines = []
-    for answer, result in pairs:
-        judged = Judged(answer, found(answer))
-        stand = "right" if judged.right else stood(judged)
-        form = "own" if answer["effects"][0]["form"] == "same" else "other"
-        counts.setdefault((answer["group"], form), Counter()).update(["", stand])
-        names = [", ".join(each["name"] for each in what["effects"]) or "nothing" for what in (answer, result, judged.result)]
-        lines.append(f"| {answer['case']} | {answer['group']}, {form} | {' | '.join(names)} | {stand} |")
-    order = sorted(counts, key=lambda key: (GROUPS.index(key[0]), key[1] == "other"))
-    columns = ("", "right", *STANDS)
-    rows = [f"| {group}, {form} form | {' | '.join(str(counts[group, form][c]) for c in columns)} |" for group, form in order]
+    for j, result in judged:
+        names = [", ".join(each["name"] for each in what["effects"]) or "nothing" for what in (j.answer, result, j.result)]
+        form = label(j.group, j.answer["effects"][0]["form"])
+        lines.append(f"| {j.answer['case']} | {form} | {' | '.join(names)} | {'right' if j.right else stood(j)} |")
     return "\n".join([
-        f"| group | not right | right when told | {' | '.join(STANDS)} |", f"|{'---|' * (len(columns) + 1)}", *rows, "",
+        f"| group | not right | right when told | {' | '.join(STANDS)} |", f"|{'---|' * (len(STANDS) + 3)}", *rows, "",
         "| case | group, form | truth | said | said when told | the missing one stood |", "|---|---|---|---|---|---|", *lines,
     ])  # fmt: skip
 

@@ -304,6 +304,8 @@ def test_a_position_that_wraps_by_360_tells_of_its_unit(model):
     record = one(model, t, u, np.mod(np.degrees(y), 360.0))
     only(record, "wraps by 360 rad", "[output] unit ('rad')", "a turn has 6.283 rad")
     np.testing.assert_allclose(np.diff(record.y), np.diff(np.degrees(y)), atol=1e-6)
+    coarse = one(model, t, u, np.floor(np.mod(np.degrees(y), 360.0) * 4096 / 360) * 360 / 4096)  # of 12 bits: a turn all the same
+    assert any("[output] unit ('rad')" in line for line in coarse.findings)
 
 
 def test_fast_motion_is_not_unwrapped(model):
