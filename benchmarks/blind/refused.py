@@ -5,7 +5,8 @@
 A refused effect has four figures: its gain over the level of chance, its gain over that of the first effect, the factor by
 which it lowers the mean squared error, and its gain on segments kept from the search. Every set of four least values is tried, with
 the answers known, so that no rule of this kind can do better than what the table says. And no threshold finds what did not lead
-a round; benchmarks/results/refused.md holds both tables.
+a round. In the same way: what other least shares of what is left could flag of the wrong names for effects of no catalogue, and
+how many right names they would flag. benchmarks/results/refused.md holds the tables.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from run import answered
 from score import Judged
 
 TARGET = Path(__file__).resolve().parents[1] / "results" / "refused.md"
-GROUPS = ("same", "other", "low", "faint", "pair")
+SINGLE = ("same", "other", "low", "faint")
+GROUPS = (*SINGLE, "pair")
 STANDS = ("not beyond chance", "behind another", "led and refused", "in a tie", "no round left", "named, one too many")
 
 
@@ -75,8 +77,21 @@ def label(group: str, form: str) -> str:
     return f"{group}, {'own' if form == 'same' else 'other'} form"
 
 
+def unflagged(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[float, float]]]:
+    """Give of each record that is named without a flag whether its effect is of no catalogue, and two shares.
+
+    Records with one effect that is named right are the others. The shares are those of the strongest view that is not chance: of what is left, and of the squared error that there was.
+    """
+    for answer, result in pairs:
+        outside = answer["group"] == "outside"
+        right = answer["group"] in SINGLE and Judged(answer, result).right
+        if result["verdict"] == "named" and not result["remains"]["flag"] and (outside or right):
+            share = result["remains"]["share"] if result["remains"]["view"] else 0.0
+            yield outside, (share, share * result["gap"]["after"] / result["gap"]["before"])
+
+
 def prices(missing: np.ndarray, figures: np.ndarray) -> dict[int, int]:
-    """Return for each number of right effects that least values of the figures (n, 4) let pass the fewest wrong ones with them."""
+    """Return for each number of wanted ones that least values of the figures (n, k) let pass the fewest others with them."""
     found: dict[int, int] = {}
     for least in itertools.product(*(np.unique(np.append(column, -np.inf)) for column in figures[missing].T)):
         passed = (figures >= np.array(least)).all(axis=1)
@@ -96,6 +111,8 @@ def main() -> None:
     ]
     missing, figures = (np.array(column) for column in zip(*refused(pairs), strict=True))
     rows = [f"| {right} | {wrong} |" for right, wrong in prices(missing, figures).items()]
+    foreign, shares = (np.array(column) for column in zip(*unflagged(pairs), strict=True))
+    flags = [f"| {wrong} | {right} |" for wrong, right in prices(foreign, shares).items()]
     text = f"""# Effects that were missed, and further ones that were refused
 
 `python benchmarks/blind/refused.py --out out/blind/{out.name}`. Where the missing effect of a case that is not
@@ -112,6 +129,14 @@ over that of the first effect, size and kept gain could do, chosen with the answ
 | missing ones named | wrong ones named with them, at least |
 |---|---|
 {chr(10).join(rows)}
+
+{int(foreign.sum())} records with an effect of no catalogue are named without a flag, and {int((~foreign).sum())} with one effect
+are named right without. The best that least shares of what is left, and of the squared error that there was, could do
+for a view that is not chance:
+
+| wrong names flagged | right names flagged with them, at least |
+|---|---|
+{chr(10).join(flags)}
 """
     TARGET.write_text(text, encoding="utf-8")
     print(text)

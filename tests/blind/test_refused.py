@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from refused import STANDS, prices, refused, standings, stood
+from refused import STANDS, prices, refused, standings, stood, unflagged
 from score import Judged
 
 ALONE = ["gravity"]
@@ -28,6 +28,19 @@ def test_what_was_refused_and_whether_it_was_missing() -> None:
     short, outside = result | {"rounds": [{"gain": 60.0}]}, {"group": "outside", "effects": []}
     pairs = [(both, result), (alone, result), (alone, short), (outside, result)]
     assert list(refused(pairs)) == [(True, (3.0, 0.5, 1.1, 4.0)), (False, (3.0, 0.5, 1.1, 4.0))]
+
+
+def test_what_was_named_without_a_flag_and_what_its_views_show() -> None:
+    left, gap = {"flag": False, "view": "v", "share": 0.4}, {"before": 8.0, "after": 2.0}
+    right = {"verdict": "named", "effects": [{"name": "gravity"}], "remains": left, "gap": gap}
+    wrong, chance, flagged = ({**right, **more} for more in (
+        {"effects": [{"name": "bias"}]}, {"remains": left | {"view": None}}, {"remains": left | {"flag": True}},
+    ))  # fmt: skip
+    alone, outside = {"group": "same", "effects": [{"class": "gravity"}]}, {"group": "outside", "effects": []}
+    pairs = [(alone, right), (alone, wrong), (alone, chance), (alone, flagged), (outside, right), (outside, flagged)]
+    pairs.append((alone | {"group": "poor"}, right))  # flags are asked about where the excitation is rich
+    assert list(unflagged(pairs)) == [(False, (0.4, 0.1)), (False, (0.0, 0.0)), (True, (0.4, 0.1))]
+    assert list(unflagged([(outside, right | {"verdict": "tie"})])) == []
 
 
 def case(classes, named, decision="'hard_stop' is certain but small", **more):
