@@ -80,7 +80,8 @@ def label(group: str, form: str) -> str:
 def unflagged(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[float, float]]]:
     """Give of each record that is named without a flag whether its effect is of no catalogue, and two shares.
 
-    Records with one effect that is named right are the others. The shares are those of the strongest view that is not chance: of what is left, and of the squared error that there was.
+    Records with one effect that is named right are the others. The shares are those of the strongest view that is not
+    chance: of what is left, and of the squared error that there was.
     """
     for answer, result in pairs:
         outside = answer["group"] == "outside"
