@@ -25,10 +25,9 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 from forms import class_of
 from run import answered
-from score import Judged
+from score import SINGLE, Judged
 
 TARGET = Path(__file__).resolve().parents[1] / "results" / "refused.md"
-SINGLE = ("same", "other", "low", "faint")
 GROUPS = (*SINGLE, "pair")
 STANDS = ("not beyond chance", "behind another", "led and refused", "in a tie", "no round left", "named, one too many")
 
@@ -84,9 +83,8 @@ def unflagged(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[fl
     chance: of what is left, and of the squared error that there was.
     """
     for answer, result in pairs:
-        outside = answer["group"] == "outside"
-        right = answer["group"] in SINGLE and Judged(answer, result).right
-        if result["verdict"] == "named" and not result["remains"]["flag"] and (outside or right):
+        judged, outside = Judged(answer, result), answer["group"] == "outside"
+        if judged.named and not judged.flagged and (outside or (judged.group in SINGLE and judged.right)):
             share = result["remains"]["share"] if result["remains"]["view"] else 0.0
             yield outside, (share, share * result["gap"]["after"] / result["gap"]["before"])
 

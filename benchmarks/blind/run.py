@@ -79,6 +79,11 @@ def work(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: in
                 print(f"{label}: {done} of {len(todo)}, {spent:.0f} s, {left:.0f} s left", file=sys.stderr, flush=True)
 
 
+def go_on(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: int, label: str) -> None:
+    """Do the `work` whose last argument, the file that it writes, is not there yet."""
+    work(function, [call for call in calls if not call[-1].exists()], jobs, label)
+
+
 def generate(seed: str, out: Path, scale: float, jobs: int, only: Sequence[str]) -> None:
     """Write the cases that are missing, and the seal of the answers."""
     groups = [group for name in only or SELECTIONS for group in SELECTIONS[name]]
@@ -111,8 +116,7 @@ def diagnose_all(out: Path, jobs: int) -> None:
     if not (out / "answers.sha256").exists():
         raise SystemExit("the answers are not sealed yet; run generate to its end")
     order = sorted((out / "cases").iterdir(), key=lambda f: hashlib.sha256(f.name.encode()).hexdigest())
-    folders = [f for f in order if not (out / "results" / f"{f.name}.json").exists()]
-    work(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in folders], jobs, "diagnose")
+    go_on(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in order], jobs, "diagnose")
 
 
 def answered(out: Path) -> list[tuple[Any, Any]]:

@@ -17,6 +17,7 @@ from forms import class_of
 
 Json = dict[str, Any]
 SLACK = 1e-9
+SINGLE = ("same", "other", "low", "faint")  # groups of one effect each, with rich excitation
 OUTCOMES = ("right", "wrong", "tie with truth", "tie without", "none", "not_identifiable", "error")
 BINS = ((0.0, 1.3), (1.3, 1.6), (1.6, 2.0), (2.0, 4.0), (4.0, 10.0), (10.0, math.inf))
 
@@ -246,7 +247,7 @@ def _naming(cases: list[Judged]) -> list[Figure]:
 def _restraint(cases: list[Judged]) -> list[Figure]:
     controls = [c for c in cases if c.group == "control"]
     outside = [c for c in cases if c.group == "outside"]
-    right = [c for c in cases if c.group in ("same", "other", "low", "faint") and c.right]
+    right = [c for c in cases if c.group in SINGLE and c.right]
     return [
         _at_most("false alarm on a control (anything named)", (bool(c.named) for c in controls), 1, 240),
         _at_most("tie reported on a control", (c.result["verdict"] == "tie" for c in controls), None),
@@ -328,7 +329,7 @@ def _by_effect(cases: list[Judged]) -> list[str]:
     for name in sorted({c.answer["effects"][0]["name"] for c in singles}):
         some = [c for c in singles if c.answer["effects"][0]["name"] == name]
         cells = []
-        for group in ("same", "other", "low", "faint"):
+        for group in SINGLE:
             part = [c for c in some if c.group == group]
             cells.append(_share(sum(c.right for c in part), len(part)))
         rows.append([name, *cells, sum(c.strict for c in some), sum(bool(c.extra) for c in some)])
@@ -388,7 +389,7 @@ def tables(pairs: Sequence[tuple[Json, Json]]) -> tuple[str, str, Json]:
     cases = [Judged(answer, result) for answer, result in pairs]
     found = figures(cases)
     head = _table(["figure", "value", "n", "95 % bound", "goal", "met"], [])[:-1]
-    lines = ["## Outcomes", "", *_outcomes(cases, ("same", "other", "low", "faint", "pair", "poor"))]
+    lines = ["## Outcomes", "", *_outcomes(cases, (*SINGLE, "pair", "poor"))]
     lines += ["## By gap ratio", "", *_by_ratio(cases), "## By effect", "", *_by_effect(cases)]
     lines += ["## Controls", "", *_by_variant(cases, "control"), "## Outside the catalogue", "", *_by_variant(cases, "outside")]
     lines += ["## Confusion", "", *_confusion(cases), "## Parameters", "", *_parameters(cases)]

@@ -9,6 +9,7 @@ kept. The tables go to docs/diagnosis.md; cases go on where they were stopped.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import shutil
@@ -72,13 +73,11 @@ def main() -> None:
     a = parser.parse_args()
     run.generate(SEED, a.out, SCALE, a.jobs, ("controls", "single"))
     answers = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((a.out / "answers").glob("*.json"))]
-    wanted = [(each, every, way) for each in answers for every in EVERY for way in WAYS]
-    todo = [
+    calls = [
         (a.out / "cases" / f"{each['case']:05d}", every, way, _target(a.out, each, every, way))
-        for each, every, way in wanted
-        if not _target(a.out, each, every, way).exists()
+        for each, every, way in itertools.product(answers, EVERY, WAYS)
     ]
-    run.work(diagnose_slow, todo, a.jobs, "diagnose")
+    run.go_on(diagnose_slow, calls, a.jobs, "diagnose")
     rows = "\n".join(row(a.out, answers, every, way) for every in EVERY for way in WAYS)
     put("slow records", "benchmarks/blind/slow.py", f"""## Records that are logged slowly
 

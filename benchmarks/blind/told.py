@@ -96,8 +96,8 @@ def main() -> None:
     def target(answer: Any) -> Path:
         return a.out / "told" / f"{answer['case']:05d}.json"
 
-    todo = [(a.out / "cases" / target(answer).stem, answer, target(answer)) for answer, _ in pairs if not target(answer).exists()]
-    run.work(diagnose_told, todo, a.jobs, "told")
+    calls = [(a.out / "cases" / target(answer).stem, answer, target(answer)) for answer, _ in pairs]
+    run.go_on(diagnose_told, calls, a.jobs, "told")
     text = f"""# What the search names when it is told the answer
 
 `python benchmarks/blind/told.py --out out/blind/{a.out.name}`. Cases that are not named right, diagnosed again with
