@@ -64,7 +64,8 @@ def reach(problem: Problem, fit: Fit, own: list[Free]) -> dict[str, float]:
 
 
 def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[str, answer.Estimate]:
-    """Return the free parameters with their 95 % intervals, as wide as development records showed that they must be.
+    """Return the free parameters with their 95 % intervals, as wide as development records showed that they must be,
+    within what each may be.
 
     With a problem, those of effects that switch are looked for all around.
     """
@@ -79,7 +80,8 @@ def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[st
         ends = [value * math.exp(-wide), value * math.exp(min(wide, 50.0))] if f.factor else [value - wide, value + wide]
         if f.name in wide_at:
             ends += [beside(f.name, value, side * wide_at[f.name]) for side in (-1, 1)]
-        found[f.name] = answer.Estimate(value, model.unit(f.name), (min(ends), max(ends)), f.stuck(value))
+        low, high = model.allowed(f.name)
+        found[f.name] = answer.Estimate(value, model.unit(f.name), (max(min(ends), low), min(max(ends), high)), f.stuck(value))
     return found
 
 

@@ -144,6 +144,11 @@ class Model:
         """Return the SI unit of a parameter of the servo, of the law or of any effect (``cogging.amplitude``)."""
         return si_unit(_declared(self.friction)[name].unit, self.linear, self.input_kind)
 
+    def allowed(self, name: str) -> tuple[float, float]:
+        """Return the least and the greatest value that such a parameter may have, SI."""
+        declared = _declared(self.friction)[name]
+        return declared.minimum, declared.maximum
+
     def settings(self, parameters: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return what a servo of this law and these effects is set to: `parameters` in place of the nominal ones.
 

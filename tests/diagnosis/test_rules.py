@@ -124,6 +124,17 @@ def test_an_uneven_likelihood_makes_a_wide_interval(monkeypatch, uneven, curve, 
     assert low <= half <= high
 
 
+def test_no_interval_leaves_what_a_parameter_may_be(monkeypatch, fabricated):
+    free = (Free("hard_stop.stiffness", 0.0, 1e9), Free("hard_stop.upper", -1e6, 1e6), Free("J", 1e-9, 1e9, factor=True))
+    fit = SimpleNamespace(free=free, values={"hard_stop.stiffness": 0.2, "hard_stop.upper": 0.2, "J": 0.01})
+    monkeypatch.setattr(intervals, "covariance", lambda fit: np.eye(3))
+    found = {name: each.ci95 for name, each in intervals.estimates(fabricated.model(), fit).items()}
+    assert found["hard_stop.stiffness"][0] == 0.0  # a stop does not pull
+    assert found["hard_stop.upper"][0] < -1.0
+    assert 0.0 < found["J"][0] < 0.001
+    assert found["hard_stop.stiffness"][1] > 1.0
+
+
 def test_a_moment_moves_by_seconds_and_a_play_by_factors():
     assert beside("disturbance_step.onset", 5.0, 0.1) == pytest.approx(5.1)
     assert beside("backlash.play", 0.02, 0.1) == pytest.approx(0.02 * np.exp(0.1))
