@@ -164,7 +164,7 @@ class Simulator:
         self.loose = loose_by(effects)
         self.width = len(STARTS) + (len(APART) if self.loose else 0)
         self._native = _compiled(law, tuple(sorted(effects)), segments.velocity, tuple(base))
-        self._natives = [self._native, *(self._native.twin() for _ in segments.pieces[1:])]
+        self._natives = [self._native.twin() for _ in segments.pieces]  # its own: another diagnosis may run beside this one
         program = self._native.program
         self.names = program.sensitivities[: -self.width]
         self._v = np.array(program.starts)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis.bench import Bench, Stage, settle
@@ -52,12 +53,16 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
 
 
 def retried(work: Callable[[Sequence[Record], float], answer.Diagnosis], records: Sequence[Record]) -> answer.Diagnosis:
-    """Return what a diagnosis of records gives, begun at a time [s]; once more if their input was not held."""
+    """Return what a diagnosis of records gives, begun at a time [s]; once more if their input was not held.
+
+    On matrices this small several threads of the linear algebra only wait for each other, and sum in another order.
+    """
     begun = time.perf_counter()
-    try:
-        return work(records, begun)
-    except NotHeldError as found:
-        return work(fed(records, found), begun)
+    with threadpool_limits(1, user_api="blas"):
+        try:
+            return work(records, begun)
+        except NotHeldError as found:
+            return work(fed(records, found), begun)
 
 
 def _diagnosed(model: Model, records: Sequence[Record], tell: Tell, begun: float) -> answer.Diagnosis:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -207,6 +208,19 @@ def test_no_reversal_amplifies_a_start():
         assert good.all()
         assert np.abs(exact[:, :, -1]).max() <= 1.01 * H * WIDTH * BINS
         assert np.abs(exact[:, :, -2]).max() <= 1.5
+
+
+def test_two_threads_simulate_the_same_program_without_disturbing_each_other(segments):
+    """Each in its own instance: two diagnoses may run side by side."""
+    values = [VALUES | BENT | {"coulomb.Fc": level} for level in (0.1, 0.14)]
+    pair = [simulator(segments, (), True) for _ in values]
+    alone = [work.run(v, segments.starts)[0] for work, v in zip(pair, values, strict=True)]
+
+    def again(i):
+        return all(np.array_equal(pair[i].run(values[i], segments.starts)[0], alone[i]) for _ in range(50))
+
+    with ThreadPoolExecutor(2) as pool:
+        assert all(pool.map(again, (0, 1)))
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="this system does not fork")

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from bristle.cli import main as cli
 from bristle.diagnosis import Model, diagnose, records_from_arrays
 from bristle.diagnosis.modelfile import write_model
+from bristle.diagnosis.workflow import retried
 from bristle.model.errors import BristleError
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
@@ -215,3 +217,16 @@ def test_any_law_input_and_output(
     elif output == "position":
         assert names == ["gravity"]
         assert found.effects[0].parameters["amplitude"].value == pytest.approx(0.3, rel=0.03)
+
+
+def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwards() -> None:
+    """Several sum in another order, so that a notebook's digits would not be the command line's."""
+    seen: list[set[int]] = []
+
+    def threads() -> set[int]:
+        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+    with threadpool_limits(2, user_api="blas"):
+        retried(lambda records, begun: seen.append(threads()), ())  # type: ignore[arg-type,return-value]
+        assert seen == [{1}]
+        assert threads() == {2}
