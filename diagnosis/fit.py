@@ -25,6 +25,7 @@ HALF = 0.5  # of what a step promised: less calls for these
 SIDES = (-1.0, 0.0, 1.0)  # of the play, where a loose load is looked for
 DEAREST = 50.0  # nats that these may cost in a segment: more is rounding, where a simulation runs away
 PATIENCE = 3  # steps in a row that gain nothing
+MUCH = 10.0  # nats: a step that promises this is shortened until it keeps some of it (a loose load's promises are never kept)
 WILD = 1e12  # outputs and derivatives beyond this, or none, are those of a simulation that failed
 FAILED = 1e6  # squared misfit of a segment whose simulation failed
 DAMPING = 1e-3
@@ -343,7 +344,7 @@ def refit(
             fit, damping = trial, damping / 5
         else:
             damping = max(damping, 1e-4) * 8
-        if promise + min(open_, enough) < enough or failed > PATIENCE:
+        if promise + min(open_, enough) < enough or (failed > PATIENCE and (simulator.loose or promise < MUCH)):
             break
     return fit
 

@@ -56,6 +56,14 @@ def test_starts_from_data_lead_to_the_truth(case, name):
         assert found.fit.values[key] == pytest.approx(value, rel=0.03), key
 
 
+def test_a_step_that_promises_much_is_shortened_until_it_keeps_some_of_it(case):
+    """From the starts of this one every full step fails; given up there, the share of the load would stay where it began."""
+    given = {"share": 0.4, "stiffness": 60.0, "damping": 0.02}
+    found = joined(case("compliance", **given), "compliance").fit
+    for key, value in given.items():
+        assert found.values[f"compliance.{key}"] == pytest.approx(value, rel=0.06), key
+
+
 def test_without_anything_hidden_the_model_is_found_within_its_intervals(case):
     plain = case(None)
     values = {f.name: plain.base.fit.values[f.name] for f in plain.base.fit.free}
