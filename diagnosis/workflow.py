@@ -138,5 +138,8 @@ def better_unbound(model: Model, bench: Bench, base: Stage, final: Stage) -> str
     lines = []
     for name, f in tight.items():
         value, unit = wide.fit.values[name], model.unit(name)
-        lines.append(f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]")
+        if not f.low <= value <= f.high:  # others only made up for these
+            lines.append(f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]")
+    if not lines:
+        return None
     return f"wider bounds, for without any effect the records fit {' and '.join(lines)}, better than any effect within the bounds"
