@@ -198,6 +198,6 @@ def base_servo(
         least = max(nominal[f"{law}.Fc"], 1e-9) / (BEND * step)
         values[f"{RIGID}.stiffness"] = 3 * least
         values[f"{RIGID}.damping"] = damping = (3 * least * nominal["J"]) ** 0.5
-        free.append(Free(f"{RIGID}.stiffness", least, 100 * least, True, math.log(3 * least), 1.0))
+        free.append(Free(f"{RIGID}.stiffness", least, 1e4 * least, True, math.log(3 * least), 1.0))
         free.append(Free(f"{RIGID}.damping", 0.0, 30 * damping, False, damping, 2 * damping))
     return Servo(law, (), tuple(bounds), tuple(free), fixed, rigid), values

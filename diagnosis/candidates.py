@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -100,6 +101,11 @@ class Servo:
     def own(self, name: str) -> tuple[Free, ...]:
         """Return the free parameters that stay when an effect joins."""
         return tuple(f for f in self.free if name not in ELASTIC or not f.name.startswith(f"{RIGID}."))
+
+    def outdone(self, name: str, values: Mapping[str, float]) -> bool:
+        """True if an effect brings bristles that are as stiff as the servo's own: what bends no more is no effect."""
+        own = next((f.usual for f in self.free if f.name == f"{RIGID}.stiffness"), math.inf)
+        return name in ELASTIC and values[f"{name}.stiffness"] >= own
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,15 @@ def _tested(bench: Bench, held: Problem, without: _Without, candidate: Candidate
     least = min(SHOWN * like - LOSS, RATTLE if effect.coupling else ENOUGH)
     proven = bool(_clipped(gains, WIDE_MARK) > (-LOSS - CEDED * found if effect.local else least))
     helps = effect.local or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > HELP
-    return Test(size, agreed, sure or size >= SIZE, sure or (proven and helps))
+    return Test(size, agreed, matters(size, sure, bool(effect.coupling)), sure or (proven and helps))
+
+
+def matters(size: float, sure: bool, coupling: bool) -> bool:
+    """True if the error falls by a factor that is enough, or by whatever where the gain is beyond doubt.
+
+    What a second inertia gains by calling the rest a disturbance is none: it lowers the error, or is not there.
+    """
+    return size >= SIZE or (sure and (size >= 1 or not coupling))
 
 
 def beyond_doubt(gain: float, level: float, agreed: float) -> bool:

@@ -66,7 +66,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort: E
     """Try the named effects on top of a fitted servo."""
     fit = stage.fit
     tried, null = _tried(bench, stage, names, tell, effort)
-    reached = [c for c in tried if c.fit is not None]
+    reached = [c for c in tried if c.fit is not None and not stage.servo.outdone(c.name, c.fit.values)]
     if not reached:
         return Verdict(tuple(tried), null, fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     best = max(reached, key=lambda c: c.merit)
@@ -287,8 +287,7 @@ def considered(
         verdict = reconsidered(bench, stage, verdict)
         best = verdict.best or best
     if not (verdict.large and verdict.proven):
-        small = "of no help on segments kept from the search" if verdict.large else "certain but small"
-        return replace(verdict, ties=()), f"'{best.name}' is {small}"
+        return replace(verdict, ties=()), f"'{best.name}' {_short(verdict, best)}"
     if first is not None and (mends_form(bench, stage, best) or not worth_adding(verdict, first)):
         return replace(verdict, ties=()), f"'{best.name}' may only mend the form of what was added"
     if any(group(name) != group(best.name) for name in verdict.ties):
@@ -296,6 +295,13 @@ def considered(
     if verdict.finer is not None and numerical(verdict.gain, verdict.finer, verdict.null.level(best.name)):
         return verdict, f"'{best.name}' is numerical: its gain vanishes with finer steps of the simulation"
     return verdict, ""
+
+
+def _short(verdict: Verdict, best: Candidate) -> str:
+    """Return what an effect lacks that is not large or not proven."""
+    if verdict.gain <= verdict.null.level(best.name):
+        return "gains no more than chance gives, under the noise that it leaves"
+    return "is of no help on segments kept from the search" if verdict.large else "is certain but small"
 
 
 def reconsidered(bench: Bench, stage: Stage, verdict: Verdict) -> Verdict:

@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 
 from bristle.cli import main as cli
-from bristle.diagnosis import diagnose, load_model
+from bristle.diagnosis import Model, diagnose, load_model, records_from_arrays
 from bristle.diagnosis.result import Diagnosis
 from bristle.diagnosis.views import STRETCHES
+from bristle.model.native import Native
 from bristle.plant.effects import effects
+from bristle.plant.servo import servo_program
 
 HIDDEN = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07"
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
@@ -49,6 +51,23 @@ def test_what_is_hidden_is_named_with_its_numbers(cogging):
     assert effect.p == 1 / 2000
     assert cogging.ties == ()
     assert not cogging.remains.flag
+
+
+def test_nothing_is_missing_where_nothing_is_hidden_and_nothing_disturbs():
+    """Records that show even the stiffness of the bristles that every model here has: stiffer ones are no effect."""
+    torque, records = np.repeat(np.random.default_rng(4).normal(0, 0.35, (2, 120)), 100, axis=1), []
+    for name, each in zip("ab", torque, strict=True):
+        u = np.convolve(each, np.ones(50) / 50, "same")
+        native = Native(servo_program("coulomb", encoder=False), {"J": 0.01, "b": 1.0, "a2": 0.02, "coulomb.Fc": 0.1, "u_max": 1e6})
+        theta = native.run(1e-3, {"u": u}, ["theta"])[0][:-1, 0]
+        records.append((name, 1e-3 * np.arange(len(u)), u, np.floor(theta / 3.8e-4) * 3.8e-4))
+    position = {"column": "y", "kind": "position", "unit": "rad"}
+    input_ = {"column": "u", "kind": "torque", "unit": "N.m"}
+    nominal = {"J": 0.011, "a2": 0.018, "Fc": 0.09}
+    tree = {"friction": "coulomb", "parameters": nominal, "time": {"column": "t", "unit": "s"}, "input": input_, "output": position}
+    model = Model.from_dict(tree)
+    found = diagnose(model, records_from_arrays(model, records))
+    assert (found.verdict, found.effects, found.remains.flag) == ("none", (), False)
 
 
 def test_the_gap_shrinks_on_segments_that_were_kept_from_the_search(cogging):

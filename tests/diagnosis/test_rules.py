@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.diagnosis import intervals
+from bristle.diagnosis import intervals, workflow
 from bristle.diagnosis.bench import HELD
-from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, beside, standing
+from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, Servo, beside, standing
 from bristle.diagnosis.candidates import Test as Worth
 from bristle.diagnosis.fit import Free
-from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged
+from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged, matters
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.prepare import base_of
 from bristle.diagnosis.search import amiss, considered, extend, look, mends_form, search, worth_adding
@@ -41,6 +41,14 @@ def test_what_acts_in_a_few_segments_is_as_large_as_it_is_there():
 )
 def test_beyond_doubt_is_what_is_far_above_chance_and_agreed_upon_or_farther(gain, agreed, sure):
     assert beyond_doubt(gain, LEVEL, agreed) is sure
+
+
+@pytest.mark.parametrize(
+    ("size", "sure", "coupling", "enough"),
+    [(1.3, False, False, True), (1.1, False, False, False), (1.1, True, True, True), (0.9, True, False, True), (0.9, True, True, False)],
+)
+def test_what_matters_lowers_the_error_unless_it_is_beyond_doubt(size, sure, coupling, enough):
+    assert matters(size, sure, coupling) is enough
 
 
 def verdict(name: str, gain: float, size: float, kept: float) -> Verdict:
@@ -135,9 +143,32 @@ def test_no_interval_leaves_what_a_parameter_may_be(monkeypatch, fabricated):
     assert found["hard_stop.stiffness"][1] > 1.0
 
 
+@pytest.mark.parametrize(("friction", "lines"), [(0.1, ["J"]), (0.6, ["J", "coulomb.Fc"])])
+def test_only_bounds_that_the_records_leave_are_proposed_to_be_widened(monkeypatch, fabricated, friction, lines):
+    """What ended at a bound only to make up for another one stays inside when that gives way."""
+    free = (Free("J", 0.003, 0.006), Free("coulomb.Fc", 0.01, 0.5))
+    base = SimpleNamespace(
+        servo=Servo("coulomb", (), (), free, {}, True), fit=SimpleNamespace(values={"J": 0.006, "coulomb.Fc": 0.5})
+    )
+    final = SimpleNamespace(fit=SimpleNamespace(total=100.0, free=free))
+    wide = SimpleNamespace(fit=SimpleNamespace(total=200.0, free=free, values={"J": 0.01, "coulomb.Fc": friction}))
+    monkeypatch.setattr(workflow, "settle", lambda bench, servo, values: wide)
+    model = replace(fabricated.model(), bounds={f.name: (f.low, f.high) for f in free})
+    line = workflow.better_unbound(model, SimpleNamespace(train=np.ones(9)), base, final)
+    assert [name for name in ("J", "coulomb.Fc") if f"{name} near" in line] == lines
+
+
 def test_a_moment_moves_by_seconds_and_a_play_by_factors():
     assert beside("disturbance_step.onset", 5.0, 0.1) == pytest.approx(5.1)
     assert beside("backlash.play", 0.02, 0.1) == pytest.approx(0.02 * np.exp(0.1))
+
+
+def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
+    servo = case(None).base.servo
+    [own] = [f.usual for f in servo.free if f.name == "bristle_damping.stiffness"]
+    for name, factor, outdone in (("presliding", 1.01, True), ("bristle_damping", 1.01, True), ("presliding", 0.5, False)):
+        assert servo.outdone(name, {f"{name}.stiffness": factor * own}) is outdone
+    assert not servo.outdone("compliance", {"compliance.stiffness": 10 * own})
 
 
 def test_bristles_also_begin_as_those_of_the_model(case):
