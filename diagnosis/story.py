@@ -16,8 +16,8 @@ from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
 SEPARATE = {  # what tells effects of one class apart
-    frozenset({"bias", "asymmetric_coulomb"}): "let it rest and raise the torque slowly until it breaks away, in both directions: "
-    "a constant torque shifts both break-away torques the same way, friction that differs by direction does not act at rest",
+    frozenset({"bias", "asymmetric_coulomb"}): "run it again at another level of friction, warm instead of cold or with another "
+    "preload: a constant torque stays what it is, an asymmetry grows with the friction (both shift the break-away alike)",
     frozenset({"input_delay", "electrical_pole"}): "drive it with a sweep to ever higher frequencies: the phase lag of a dead time "
     "grows without limit, that of the winding ends at a quarter period",
     frozenset({"presliding", "bristle_damping"}): "add small, fast motion that never breaks away: "

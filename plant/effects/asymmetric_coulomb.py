@@ -29,7 +29,7 @@ EFFECT = Effect(
     group="bias/asymmetric_coulomb",
     equation="Fc (1 + alpha sgn v)",
     residual=("direction",),
-    excitation="both directions, and rest: while it moves it equals a bias",
+    excitation="both directions, at two levels of friction: at one of them it equals a bias",
     confounded=("bias",),
     parameters=(
         Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),

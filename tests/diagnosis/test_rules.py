@@ -45,8 +45,11 @@ def test_beyond_doubt_is_what_is_far_above_chance_and_agreed_upon_or_farther(gai
 
 @pytest.mark.parametrize(
     ("size", "sure", "coupling", "enough"),
-    [(1.3, False, False, True), (1.1, False, False, False), (1.1, True, True, True), (0.9, True, False, True), (0.9, True, True, False)],
-)
+    [
+        (1.3, False, False, True), (1.1, False, False, False), (1.1, True, True, True), (0.9, True, False, True),
+        (0.9, True, True, False),
+    ],
+)  # fmt: skip
 def test_what_matters_lowers_the_error_unless_it_is_beyond_doubt(size, sure, coupling, enough):
     assert matters(size, sure, coupling) is enough
 

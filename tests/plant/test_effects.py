@@ -586,3 +586,19 @@ def test_a_stiff_shaft_is_none():
         errors.append(np.max(np.abs(found - one)[:, 0]) / np.ptp(one[:, 0]))
     assert errors[2] < 1e-3
     assert errors[2] < errors[1] < errors[0]
+
+
+def test_only_another_level_of_friction_tells_an_asymmetry_from_a_constant_torque():
+    """They move alike, from rest and over reversals; not so where friction is half as large again."""
+    u = 0.25 * np.sin(2 * np.pi * np.arange(2000) / 1000) * np.linspace(0, 1, 2000)
+
+    def theta(name, value, level):
+        values = {"J": 0.01, "b": 1.0, "u_max": 1e6, "coulomb.Fc": level, name: value}
+        program = servo_program("coulomb", encoder=False, effects=(name.split(".")[0],))
+        return Native(program, values).run(1e-3, {"u": u}, ["theta"])[0]
+
+    alike, apart = (
+        np.abs(theta("bias.torque", -0.02, level) - theta("asymmetric_coulomb.share", 0.2, level)).max() for level in (0.1, 0.15)
+    )
+    assert alike < 1e-9
+    assert apart > 0.01
