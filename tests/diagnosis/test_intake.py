@@ -221,6 +221,41 @@ def test_what_cannot_be_mended_is_refused_in_one_line(change, words, model, mess
         assert word in text, text
 
 
+RNG = np.random.default_rng(5)
+WHITE = RNG.standard_normal(N)
+
+
+@pytest.mark.parametrize("noise", [1e-4 * WHITE + 2.0, STEP * RNG.integers(0, 2, N), 1e-3 * RNG.standard_t(2, N)])
+def test_noise_alone_is_no_motion(noise, model, message):
+    t, u, _ = motion()
+    for input_ in (u, RNG.standard_normal(N)):
+        text = message(lambda input_=input_: one(model, t, input_, noise))
+        assert text.startswith("record run: nothing moves: all that the output shows is noise of ")
+        assert "[output] column, and give a record with motion" in text
+
+
+@pytest.mark.parametrize(
+    "y",
+    [
+        WHITE + 0.5 * np.linspace(0, 1, N),  # creep
+        WHITE + 0.4 * (np.arange(N) > 4000),  # a slip
+        STEP * np.round(0.6 * WHITE + 0.5 * motion()[1]),  # presliding of a fraction of a count
+        STEP * np.floor(3 * np.sin(motion()[0])),
+        motion()[2] + 1e9 * (np.arange(N) == 3),  # the spectrum of an outlier is even
+    ],
+)
+def test_motion_far_below_the_noise_is_motion(y, model):
+    t, u, _ = motion()
+    assert len(one(model, t, u, y)) == N
+
+
+def test_an_output_as_white_as_noise_that_follows_the_input_is_motion(tree):
+    tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
+    t, _, _ = motion()
+    u = RNG.standard_normal(N)
+    assert len(one(Model.from_dict(tree), t, u, WHITE + 0.2 * np.roll(u, 1))) == N
+
+
 def test_no_record_and_wrong_entries(model, message, tmp_path):
     assert "no record" in message(lambda: load_records(model, []))
     assert "no record" in message(lambda: records_from_arrays(model, []))
