@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from bristle.diagnosis.clock import clock, increasing, one_rate, period_of
 from bristle.diagnosis.modelfile import Model, must_be_model
-from bristle.diagnosis.record import Raw, Record
+from bristle.diagnosis.record import NAMES, Raw, Record, vectors
 from bristle.diagnosis.sensor import STILL, mend_spikes, must_move, report_frozen, report_limits, resolution_of, unwrap
 from bristle.model.errors import BristleError
 from bristle.model.table import Array, read_columns, si_column
@@ -88,10 +88,7 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
         if not isinstance(entry, list | tuple) or len(entry) != 4:
             raise BristleError(f"record {len(records) + 1}: is not (name, time, u, y); give these four")
         name, *given = entry
-        time, u, y = (_vector(name, key, values) for key, values in zip(("time", "input", "output"), given, strict=True))
-        if not len(time) == len(u) == len(y):
-            sizes = f"time {len(time)}, input {len(u)}, output {len(y)} samples"
-            raise BristleError(f"record {name}: columns of different length ({sizes}); cut them to the same samples")
+        time, u, y = vectors(name, *given)
         for other, columns in before.items():
             if all(map(np.array_equal, (time, u, y), columns)):
                 raise BristleError(f"record {name}: is the same as {other}; a copy is no second measurement: leave it out")
@@ -130,19 +127,6 @@ def _read(model: Model, path: Path) -> tuple[Array, Array, Array]:
     return time, u, y
 
 
-def _vector(name: str, key: str, values: ArrayLike) -> Array:
-    try:
-        array = np.asarray(values)
-        if array.dtype.kind == "c":
-            raise TypeError
-        array = array.astype(float)
-    except (TypeError, ValueError):
-        raise BristleError(f"record {name}: {key} is not an array of numbers; give one of shape (n,)") from None
-    if array.ndim != 1:
-        raise BristleError(f"record {name}: {key} has shape {array.shape}; give one of shape (n,)")
-    return array
-
-
 def _constant(u: Array) -> bool:
     return bool(np.ptp(u) <= 1e-9 * np.max(np.abs(u)))
 
@@ -159,7 +143,7 @@ def _cut_ends(raw: Raw) -> None:
     first, last = int(good[0]), int(good[-1])
     if not whole[first : last + 1].all():
         k = first + int(np.argmin(whole[first : last + 1]))
-        key = ("time", "input", "output")[int(np.argmin(np.isfinite(table[k])))]
+        key = NAMES[int(np.argmin(np.isfinite(table[k])))]
         count = int(np.sum(~whole[first : last + 1]))
         raise raw.error(f"{key} is not finite at sample {k} ({count} such samples before the end); repair them or cut the record")
     raw.say(f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite; left out")
@@ -169,7 +153,7 @@ def _cut_ends(raw: Raw) -> None:
 def _possible(model: Model, raw: Raw) -> None:
     """Refuse numbers that are none of a rig."""
     units = ("s", model.input_unit, model.output_unit)
-    for key, values, unit in zip(("time", "input", "output"), (raw.time, raw.u, raw.y), units, strict=True):
+    for key, values, unit in zip(NAMES, (raw.time, raw.u, raw.y), units, strict=True):
         most = float(np.max(np.abs(values)))
         if most > LARGEST or 0.0 < most < SMALLEST:
             raise raw.error(f"{key} reaches {most:.3g} {unit}, allowed {SMALLEST:g} to {LARGEST:g}; check its column and unit")

@@ -1,9 +1,11 @@
 """Intake: what is wrong with a record is mended and reported, or refused in one line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bristle.diagnosis import Model, Record, load_records, records_from_arrays
+from bristle.diagnosis import Model, Record, diagnose, load_records, records_from_arrays
 
 H = 1e-3
 N = 6000
@@ -271,6 +273,27 @@ def test_no_record_and_wrong_entries(model, message, tmp_path):
     text = message(lambda: load_records(model, [tmp_path / "r.csv"]))
     assert "r.csv: input: no column 'u'" in text
     assert "t, torque, theta" in text
+
+
+def test_a_record_made_by_hand_is_checked(model, message):
+    t, u, y = motion()
+    made = Record("run", t.tolist(), H, u.tolist(), y.tolist())
+    assert all(column.dtype == float and len(column) == N for column in (made.time, made.u, made.y))
+    for change, words in (
+        ({"u": u[:-5]}, "columns of different length (time 6000, input 5995, output 6000 samples)"),
+        ({"u": u[:, None]}, "input has shape (6000, 1)"),
+        ({"y": np.where(t == t[50], np.nan, y)}, "output is not finite at sample 50"),
+        ({"u": "fast"}, "input is not an array of numbers"),
+        ({"h": 0.0}, "h is 0.0; give the sampling period"),
+        ({"h": None}, "h is None; give the sampling period"),
+        ({"name": 3}, "its name is a int; give text"),
+    ):
+        assert words in message(lambda change=change: replace(made, **change))
+    for other, words in (
+        (Record("b", t, 2e-3, u, y), "record b: h is 0.002 s, but from sample 0 to the next it is 0.001 s"),
+        (Record("b", 2 * t, 2e-3, u, y), "record b: sampled every 0.002 s, record run every 0.001 s; records_from_arrays"),
+    ):
+        assert words in message(lambda other=other: diagnose(model, [made, other]))
 
 
 def test_one_path_is_a_list_of_one_and_none_counts_twice(model, message, tmp_path):
