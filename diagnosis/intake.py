@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bristle.diagnosis.clock import clock, increasing, one_rate, period_of
-from bristle.diagnosis.modelfile import Model, must_be_model
+from bristle.diagnosis.modelfile import Model, must_be_model, must_be_path
 from bristle.diagnosis.record import NAMES, Raw, Record, vectors
 from bristle.diagnosis.sensor import STILL, mend_spikes, must_move, report_frozen, report_limits, resolution_of, unwrap
 from bristle.model.errors import BristleError
@@ -46,8 +46,13 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
     must_be_model(model)
     if isinstance(paths, str | Path):
         paths = [paths]
+    if not isinstance(paths, Iterable):
+        must_be_path(paths, "record")
+    paths = list(paths)
     if not paths:
         raise BristleError("no record is given; give at least one measured file")
+    for path in paths:
+        must_be_path(path, "record")
     real = [Path(path).resolve() for path in paths]
     for k, path in enumerate(real):
         if path in real[:k]:
@@ -89,6 +94,8 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
             raise BristleError(f"record {len(records) + 1}: is not (name, time, u, y); give these four")
         name, *given = entry
         time, u, y = vectors(name, *given)
+        if name in before:
+            raise BristleError(f"record {name}: two records have this name, by which reports tell them; give each its own")
         for other, columns in before.items():
             if all(map(np.array_equal, (time, u, y), columns)):
                 raise BristleError(f"record {name}: is the same as {other}; a copy is no second measurement: leave it out")

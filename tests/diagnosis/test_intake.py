@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis import Model, Record, diagnose, load_records, records_from_arrays
+from bristle.diagnosis import Model, Record, diagnose, load_model, load_records, records_from_arrays
 
 H = 1e-3
 N = 6000
@@ -273,6 +273,25 @@ def test_no_record_and_wrong_entries(model, message, tmp_path):
     text = message(lambda: load_records(model, [tmp_path / "r.csv"]))
     assert "r.csv: input: no column 'u'" in text
     assert "t, torque, theta" in text
+
+
+def test_arguments_of_another_kind_are_one_line(model, message):
+    t, u, y = motion()
+    for wrong in ([3], 3, [None], None):
+        assert "the path of a record is a " in message(lambda wrong=wrong: load_records(model, wrong))
+    assert "the path of a model file is a NoneType" in message(lambda: load_model(None))
+    assert "model: is a NoneType; give a dict" in message(lambda: Model.from_dict(None))
+    assert "record 3: its name is a int" in message(lambda: records_from_arrays(model, [(3, t, u, y)]))
+    assert "record a: two records have this name" in message(lambda: records_from_arrays(model, [("a", t, u, y), ("a", t, y, u)]))
+    assert "record a: holds no sample" in message(lambda: records_from_arrays(model, [("a", [], [], [])]))
+    dated = (t * 1e6).astype("datetime64[us]")
+    assert "time is not an array of numbers but of timestamps" in message(lambda: one(model, dated, u, y))
+
+
+def test_masked_samples_are_missing(model, message):
+    t, u, y = motion()
+    assert len(one(model, t, u, np.ma.masked_where(t < 0.01, y))) == N - 10
+    assert "input is not finite at sample 70" in message(lambda: one(model, t, np.ma.masked_where(t == t[70], u), y))
 
 
 def test_a_record_made_by_hand_is_checked(model, message):
