@@ -193,6 +193,8 @@ def test_nearly_the_same_rate_is_the_same(model):
         (lambda t, u, y: (t[:900], u[:900], y[:900]), ["lasts 0.899 s", "at least 2 s", "[time] unit"]),
         (lambda t, u, y: (t * 1000, u, y), ["sampled every 1 s", "[time] unit", "ms"]),
         (lambda t, u, y: (t / 1000, u, y), ["sampled every 1e-06 s", "[time] unit"]),
+        (lambda t, u, y: (t / 101, u, y), ["sampled every 9.90099e-06 s; allowed are 1e-05"]),
+        (lambda t, u, y: (t / 100, u, y), ["lasts 0.05999 s", "[time] unit"]),  # 1e-5 s, as far as a float can tell
         (lambda t, u, y: (t[::-1], u, y), ["falls back at sample 1", "sort"]),
         (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["falls back at sample 3001", "two runs"]),
         (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
@@ -286,6 +288,13 @@ def test_arguments_of_another_kind_are_one_line(model, message):
     assert "record a: holds no sample" in message(lambda: records_from_arrays(model, [("a", [], [], [])]))
     dated = (t * 1e6).astype("datetime64[us]")
     assert "time is not an array of numbers but of timestamps" in message(lambda: one(model, dated, u, y))
+
+
+def test_the_same_record_in_another_format_is_a_copy(model, message):
+    t, u, y = motion()
+    written = [np.array([float(f"{x:.7g}") for x in column]) for column in (t, u, y)]
+    assert "record b: is the same as a" in message(lambda: records_from_arrays(model, [("a", t, u, y), ("b", *written)]))
+    assert len(records_from_arrays(model, [("a", t, u, y), ("b", t, u, y + 1e-4 * WHITE)])) == 2
 
 
 def test_masked_samples_are_missing(model, message):
