@@ -14,6 +14,7 @@ from bristle.model.errors import BristleError
 from bristle.model.table import Array
 
 SLOWEST, FASTEST = 0.1, 1e-5  # s: sampling periods outside are not those of a servo, but of a wrong unit
+CLOSE = 1e-6  # of them: a rounded period that is one of these by intent is not outside
 UNIFORM = 0.01  # a sampling interval may differ from the mean by this fraction
 JITTER = 0.5  # largest rms deviation of an interval, as a fraction of it, that is resampled
 SAME_RATE = 1e-3  # sampling periods that differ less are one: the inertia is then off by twice as much at most
@@ -43,12 +44,12 @@ def increasing(raw: Raw) -> None:
 def period_of(raw: Raw) -> float:
     """Return the ordinary sampling period; refuse one that is not of a servo."""
     h = float(np.median(np.diff(raw.time)))
-    if h > SLOWEST:
+    if h > SLOWEST * (1 + CLOSE):
         raise raw.error(
-            f"sampled every {h:g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (ms, us)? else sample faster"
+            f"sampled every {h:.7g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (ms, us)? else sample faster"
         )
-    if h < FASTEST:
-        raise raw.error(f"sampled every {h:g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (s, ms)?")
+    if h < FASTEST * (1 - CLOSE):
+        raise raw.error(f"sampled every {h:.7g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (s, ms)?")
     return h
 
 

@@ -20,6 +20,7 @@ SHORTEST = 200  # samples, of a record or of a piece of one: five segments of 0.
 BRIEFEST = 2.0  # s, likewise
 SMALLEST, LARGEST = 1e-30, 1e30  # SI: no rig gives less or more, and squares of such numbers are no numbers any more
 GAP = 3.5  # an interval of more than this many is a gap; shorter ones are bridged
+COPY = 1e-6  # of its range: columns that differ by less are one, written with more or fewer digits
 EPOCH = 1e6  # s: a time that starts above counts from 1970, not from the start
 
 
@@ -96,13 +97,13 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
         time, u, y = vectors(name, *given)
         if name in before:
             raise BristleError(f"record {name}: two records have this name, by which reports tell them; give each its own")
-        for other, columns in before.items():
-            if all(map(np.array_equal, (time, u, y), columns)):
-                raise BristleError(f"record {name}: is the same as {other}; a copy is no second measurement: leave it out")
-        before[name] = time, u, y
         raw = Raw(name, time, u, y, [])
         _cut_ends(raw)
         _possible(model, raw)
+        for other, columns in before.items():
+            if all(map(_same, (raw.time, raw.u, raw.y), columns)):
+                raise raw.error(f"is the same as {other}; a copy is no second measurement: leave it out")
+        before[name] = raw.time, raw.u, raw.y
         if origin is None and len(raw.time) and abs(raw.time[0]) > EPOCH:
             origin = float(raw.time[0])
         if origin is not None and abs(raw.time[0]) > EPOCH:
@@ -132,6 +133,11 @@ def _read(model: Model, path: Path) -> tuple[Array, Array, Array]:
         for key, column, unit in (("input", model.input, model.input_unit), ("output", model.output, model.output_unit))
     )
     return time, u, y
+
+
+def _same(one: Array, other: Array) -> bool:
+    """True if two columns differ by no more than the digits with which files of different formats hold them."""
+    return len(one) == len(other) and bool(np.max(np.abs(one - other)) <= COPY * np.ptp(one))
 
 
 def _constant(u: Array) -> bool:
