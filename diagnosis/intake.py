@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +15,8 @@ from bristle.diagnosis.record import NAMES, Raw, Record, vectors
 from bristle.diagnosis.sensor import STILL, mend_spikes, must_move, report_frozen, report_limits, resolution_of, unwrap
 from bristle.model.errors import BristleError
 from bristle.model.table import Array, read_columns, si_column
+
+Entry = tuple[str, str, ArrayLike, ArrayLike, ArrayLike]
 
 SHORTEST = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz, and half are held out
 BRIEFEST = 2.0  # s, likewise
@@ -61,7 +63,7 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
     read = [_read(model, Path(path)) for path in paths]
     stems = [Path(path).stem for path in paths]
     names = [f"{stem}#{stems[:i].count(stem) + 1}" if stems.count(stem) > 1 else stem for i, stem in enumerate(stems)]
-    return records_from_arrays(model, [(name, *columns) for name, columns in zip(names, read, strict=True)])
+    return _records(model, [(name, str(path), *columns) for name, path, columns in zip(names, paths, read, strict=True)])
 
 
 def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
@@ -87,23 +89,34 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     must_be_model(model)
     if not isinstance(arrays, Iterable):
         raise BristleError("the records are no list; give one of (name, time, u, y)")
+    return _records(model, _entries(arrays))
+
+
+def _entries(arrays: Iterable[object]) -> Iterator[Entry]:
+    """Check that each entry is what it should be; a record in memory is told by its name."""
+    for number, entry in enumerate(arrays, start=1):
+        if not isinstance(entry, list | tuple) or len(entry) != 4:
+            raise BristleError(f"record {number}: is not (name, time, u, y); give these four")
+        name, time, u, y = entry
+        yield name, name, time, u, y
+
+
+def _records(model: Model, entries: Iterable[Entry]) -> list[Record]:
+    """Check and mend records, each of a name, what errors call it, time, u and y."""
     records: list[Record] = []
     before: dict[str, tuple[Array, Array, Array]] = {}
     origin: float | None = None
-    for entry in arrays:
-        if not isinstance(entry, list | tuple) or len(entry) != 4:
-            raise BristleError(f"record {len(records) + 1}: is not (name, time, u, y); give these four")
-        name, *given = entry
-        time, u, y = vectors(name, *given)
-        if name in before:
-            raise BristleError(f"record {name}: two records have this name, by which reports tell them; give each its own")
-        raw = Raw(name, time, u, y, [])
+    for name, where, *given in entries:
+        time, u, y = vectors(where, *given)
+        if where in before:
+            raise BristleError(f"record {where}: two records have this name, by which reports tell them; give each its own")
+        raw = Raw(name, where, time, u, y, [])
         _cut_ends(raw)
         _possible(model, raw)
         for other, columns in before.items():
             if all(map(_same, (raw.time, raw.u, raw.y), columns)):
                 raise raw.error(f"is the same as {other}; a copy is no second measurement: leave it out")
-        before[name] = raw.time, raw.u, raw.y
+        before[where] = raw.time, raw.u, raw.y
         if origin is None and len(raw.time) and abs(raw.time[0]) > EPOCH:
             origin = float(raw.time[0])
         if origin is not None and abs(raw.time[0]) > EPOCH:
@@ -115,7 +128,7 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     if all(_constant(record.u) for record in records):
         first = records[0]
         raise BristleError(
-            f"record {first.name}: input is constant ({first.u[0]:g} {model.input_unit}) in every record; "
+            f"record {next(iter(before))}: input is constant ({first.u[0]:g} {model.input_unit}) in every record; "
             "check [input] column, and give a record in which it moves"
         )
     for i, record in enumerate(records):
@@ -187,8 +200,9 @@ def _pieces(model: Model, raw: Raw) -> list[Record]:
     runs = list(zip([0, *borders.tolist()], [*borders.tolist(), len(raw.time)], strict=True))
     records, dropped = [], []
     for number, (start, end) in enumerate(runs, start=1):
-        name = raw.name if len(runs) == 1 else f"{raw.name}[{number}]"
-        piece = Raw(name, raw.time[start:end], raw.u[start:end], raw.y[start:end], [])
+        which = "" if len(runs) == 1 else f"[{number}]"
+        name = raw.name + which
+        piece = Raw(name, raw.where + which, raw.time[start:end], raw.u[start:end], raw.y[start:end], [])
         length = piece.time[-1] - piece.time[0]
         still = np.ptp(piece.y) <= STILL * (resolution or 0.0)
         if len(piece.time) < SHORTEST or length < BRIEFEST or still:

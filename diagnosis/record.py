@@ -74,9 +74,10 @@ class Record:
 
 @dataclass
 class Raw:
-    """A record on its way: SI, and whatever else is the matter."""
+    """A record on its way: SI, and whatever else is the matter; `where` is the path or name that errors begin with."""
 
     name: str
+    where: str
     time: Array
     u: Array
     y: Array
@@ -88,7 +89,7 @@ class Raw:
 
     def error(self, line: str) -> BristleError:
         """Return the error to raise."""
-        return BristleError(f"record {self.name}: {line}")
+        return BristleError(f"record {self.where}: {line}")
 
     def keep(self, chosen: NDArray[np.bool_] | slice) -> None:
         """Leave out all other samples."""

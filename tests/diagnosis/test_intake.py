@@ -329,6 +329,9 @@ def test_one_path_is_a_list_of_one_and_none_counts_twice(model, message, tmp_pat
     [alone] = load_records(model, tmp_path / "r.csv")
     [same] = load_records(model, str(tmp_path / "r.csv"))
     assert alone.name == same.name == "r"
+    still = tmp_path / "still.csv"
+    np.savetxt(still, np.column_stack(motion()) * [1, 1, 0], delimiter=",", header="t,u,theta", comments="")
+    assert message(lambda: load_records(model, still)).startswith(f"record {still}: nothing moves")
     twice = [tmp_path / "r.csv", tmp_path / "." / "r.csv"]
     assert "is given twice" in message(lambda: load_records(model, twice))
 
