@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from bristle.diagnosis.clock import clock, increasing, one_rate, period_of
 from bristle.diagnosis.modelfile import Model, must_be_model, must_be_path
 from bristle.diagnosis.record import NAMES, Raw, Record, vectors
-from bristle.diagnosis.sensor import STILL, mend_spikes, must_move, report_frozen, report_limits, resolution_of, unwrap
+from bristle.diagnosis.sensor import STILL, mend_spikes, must_move, report_frozen, report_limits, resolution_of, tell_steps, unwrap
 from bristle.model.errors import BristleError
 from bristle.model.table import Array, read_columns, si_column
 
@@ -135,7 +135,7 @@ def _records(model: Model, entries: Iterable[Entry]) -> list[Record]:
         if _constant(record.u):
             line = f"input is constant ({record.u[0]:g} {model.input_unit}): the record shows friction, but hardly inertia"
             records[i] = replace(record, findings=(*record.findings, f"record {record.name}: {line}"))
-    return one_rate(records)
+    return tell_steps(model, one_rate(records))
 
 
 def _read(model: Model, path: Path) -> tuple[Array, Array, Array]:

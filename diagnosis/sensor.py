@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import fft, stats
 
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.record import Raw
+from bristle.diagnosis.record import Raw, Record
 from bristle.diagnosis.steps import common_step
 from bristle.model.table import Array
 
@@ -15,6 +17,8 @@ LIMITED = 10  # samples, at least
 CREST = 4.0  # and many times as long as on the values next to it
 LEVELS = 20  # an input of fewer values is switched, not limited
 STILL = 3.001  # steps of the resolution: less is no motion
+FINE = 1e-5  # of the range, or of a turn: finer steps are those of a reading that is as good as continuous
+WHOLE = 0.05  # counts: a turn of a whole number of them, as far as a step can be found
 CHANCE = 0.01  # that pure noise passes for motion, in each test: to take a motion for noise would be worse
 SPIKE = 8.0  # a spike steps this many times farther than its neighbours
 BITS = (8, 32)  # of a counter that wraps
@@ -34,6 +38,19 @@ def resolution_of(model: Model, raw: Raw) -> float | None:
     elif not 0.8 < found / model.resolution < 1.25:
         raw.say(f"{told}, but the output comes in steps of {found:.4g} {model.output_unit}; correct the resolution or the unit")
     return found
+
+
+def tell_steps(model: Model, records: list[Record]) -> list[Record]:
+    """Say once, with the first record, in what steps the output moves where the model does not know."""
+    step = max(record.resolution or 0.0 for record in records)
+    span = max(float(np.ptp(record.y)) for record in records)
+    turns = model.output_kind == "position" and not model.linear
+    if model.resolution is not None or step <= FINE * (min(span, 2.0 * np.pi) if turns else span):
+        return records
+    counts = 2.0 * np.pi / step
+    whole = turns and abs(counts - round(counts)) < WHOLE
+    line = f"the output moves in steps of {step:.3g} {model.output_unit}" + (f" ({counts:.0f} a turn)" if whole else "")
+    return [replace(records[0], findings=(*records[0].findings, line)), *records[1:]]
 
 
 def must_move(model: Model, raw: Raw, resolution: float | None) -> None:

@@ -29,9 +29,14 @@ def one(model, t, u, y):
     return record
 
 
+def said(record):
+    """Return the findings, but for that on the steps of the output."""
+    return tuple(line for line in record.findings if not line.startswith("the output moves in steps"))
+
+
 def only(record, *words):
     """The record has one finding, with these words, and it names the record."""
-    [line] = record.findings
+    [line] = said(record)
     assert line.startswith("record run")
     assert "\n" not in line
     for word in words:
@@ -45,7 +50,7 @@ def test_a_good_record_is_not_touched(model):
     t, u, y = motion()
     record = one(model, t + 17.0, u, counts(y))
     assert isinstance(record, Record)
-    assert record.findings == ()
+    assert record.findings == ("the output moves in steps of 0.00153 rad (4096 a turn)",)
     assert record.name == "run"
     assert record.h == pytest.approx(H, rel=1e-12)
     np.testing.assert_allclose(record.time, t + 17.0, rtol=0, atol=1e-12)
@@ -422,7 +427,7 @@ def test_noise_and_steps_are_no_spikes(model):
     assert one(model, t, u, heavy).findings == ()
     slow = counts(0.02 * np.sin(t))  # flickers between neighbouring counts
     flicker = slow + STEP * (rng.random(N) < 0.01)
-    assert one(model, t, u, flicker).findings == ()
+    assert said(one(model, t, u, flicker)) == ()
 
 
 def test_a_saturated_input_is_reported(model):
@@ -451,6 +456,20 @@ def test_the_resolution_is_found(step, offset, model):
     assert one(model, t, u, y + offset).resolution is None
 
 
+def test_the_steps_of_the_output_are_told_once_where_the_model_does_not_know_them(tree):
+    t, u, y = motion()
+
+    def found(model, step):
+        records = records_from_arrays(model, [("a", t, u, counts(y, step)), ("b", t, u, counts(motion(seed=1)[2], step))])
+        return [line for record in records for line in record.findings]
+
+    model = Model.from_dict(tree)
+    assert found(model, STEP / 16) == ["the output moves in steps of 9.59e-05 rad (65536 a turn)"]
+    assert found(model, 3e-3) == ["the output moves in steps of 0.003 rad"]
+    assert found(model, 4e-6) == found(replace(model, resolution=STEP), STEP) == []
+    assert found(replace(model, linear=True), STEP) == ["the output moves in steps of 0.00153 m"]
+
+
 def test_a_lost_reading_is_reported(model):
     t, u, y = motion()
     stuck = counts(y)
@@ -464,4 +483,4 @@ def test_rest_under_a_sweeping_input_is_reported(model):
     line = [each for each in one(model, t, u, counts(resting)).findings if "stands still" in each]
     assert len(line) == 1
     quiet = np.where((t > 3) & (t < 6), 0.1 * u, u)  # stiction under a small input is ordinary
-    assert one(model, t, quiet, counts(resting)).findings == ()
+    assert said(one(model, t, quiet, counts(resting))) == ()
