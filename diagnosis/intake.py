@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,23 +48,20 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
         One line: what, where, what is allowed, what to do.
     """
     must_be_model(model)
-    if isinstance(paths, str | Path):
-        paths = [paths]
-    if not isinstance(paths, Iterable):
-        must_be_path(paths, "record")
-    paths = list(paths)
-    if not paths:
+    given: object = paths
+    listed: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
+    if not listed:
         raise BristleError("no record is given; give at least one measured file")
-    for path in paths:
+    for path in listed:
         must_be_path(path, "record")
-    real = [Path(path).resolve() for path in paths]
+    real = [Path(path).resolve() for path in listed]
     for k, path in enumerate(real):
         if path in real[:k]:
-            raise BristleError(f"record {paths[k]}: is given twice; a copy is no second measurement: leave it out")
-    read = [_read(model, Path(path)) for path in paths]
-    stems = [Path(path).stem for path in paths]
+            raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
+    read = [_read(model, Path(path)) for path in listed]
+    stems = [Path(path).stem for path in listed]
     names = [f"{stem}#{stems[:i].count(stem) + 1}" if stems.count(stem) > 1 else stem for i, stem in enumerate(stems)]
-    return _records(model, [(name, str(path), *columns) for name, path, columns in zip(names, paths, read, strict=True)])
+    return _records(model, [(name, str(path), *columns) for name, path, columns in zip(names, listed, read, strict=True)])
 
 
 def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:

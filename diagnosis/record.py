@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,8 +64,9 @@ class Record:
                 k = int(np.argmin(np.isfinite(column)))
                 raise BristleError(f"record {self.name}: {name} is not finite at sample {k}; repair it or cut the record")
             object.__setattr__(self, key, column)
-        if not isinstance(self.h, Real) or not 0.0 < self.h < np.inf:
-            raise BristleError(f"record {self.name}: h is {self.h}; give the sampling period in s, above 0")
+        h: object = self.h
+        if not isinstance(h, int | float | np.number) or not 0.0 < float(h) < np.inf:
+            raise BristleError(f"record {self.name}: h is {h}; give the sampling period in s, above 0")
 
     def __len__(self) -> int:
         return len(self.time)
