@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,11 @@ from scipy.interpolate import Akima1DInterpolator
 
 from bristle.diagnosis.record import Raw, Record
 from bristle.diagnosis.steps import common_step
+from bristle.model.errors import BristleError
 from bristle.model.table import Array
 
 SLOWEST, FASTEST = 0.1, 1e-5  # s: sampling periods outside are not those of a servo, but of a wrong unit
+CLOSE = 1e-6  # of them: a rounded period that is one of these by intent is not outside
 UNIFORM = 0.01  # a sampling interval may differ from the mean by this fraction
 JITTER = 0.5  # largest rms deviation of an interval, as a fraction of it, that is resampled
 SAME_RATE = 1e-3  # sampling periods that differ less are one: the inertia is then off by twice as much at most
@@ -41,12 +44,12 @@ def increasing(raw: Raw) -> None:
 def period_of(raw: Raw) -> float:
     """Return the ordinary sampling period; refuse one that is not of a servo."""
     h = float(np.median(np.diff(raw.time)))
-    if h > SLOWEST:
+    if h > SLOWEST * (1 + CLOSE):
         raise raw.error(
-            f"sampled every {h:g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (ms, us)? else sample faster"
+            f"sampled every {h:.7g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (ms, us)? else sample faster"
         )
-    if h < FASTEST:
-        raise raw.error(f"sampled every {h:g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (s, ms)?")
+    if h < FASTEST * (1 - CLOSE):
+        raise raw.error(f"sampled every {h:.7g} s; allowed are {FASTEST:g} to {SLOWEST:g} s: is [time] unit right (s, ms)?")
     return h
 
 
@@ -93,6 +96,20 @@ def one_rate(records: list[Record]) -> list[Record]:
             record = replace(record, time=time, u=u, y=y, resampled=True)
         found.append(replace(record, h=h))
     return found
+
+
+def must_agree(records: Sequence[Record]) -> None:
+    """Refuse records whose time is not uniform, or whose sampling periods differ: nothing later looks at that again."""
+    how = "records_from_arrays brings time and rate in order"
+    for record in records:
+        off = np.abs(np.diff(record.time) - record.h) > UNIFORM * record.h
+        if off.any():
+            k = int(np.argmax(off))
+            seen = f"h is {record.h:.6g} s, but from sample {k} to the next it is {record.time[k + 1] - record.time[k]:.6g} s"
+            raise BristleError(f"record {record.name}: {seen}; {how}")
+        if abs(record.h - records[0].h) > SAME_RATE * record.h:
+            seen = f"sampled every {record.h:.6g} s, record {records[0].name} every {records[0].h:.6g} s"
+            raise BristleError(f"record {record.name}: {seen}; {how}")
 
 
 def _resample(time: Array, u: Array, y: Array, h: float) -> tuple[Array, Array, Array]:

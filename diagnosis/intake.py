@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bristle.diagnosis.clock import clock, increasing, one_rate, period_of
-from bristle.diagnosis.modelfile import Model, must_be_model
-from bristle.diagnosis.record import Raw, Record
-from bristle.diagnosis.sensor import STILL, mend_spikes, must_move, report_frozen, report_limits, resolution_of, unwrap
+from bristle.diagnosis.modelfile import Model, must_be_model, must_be_path
+from bristle.diagnosis.record import NAMES, Raw, Record, vectors
+from bristle.diagnosis.sensor import STILL, mend_spikes, must_move, report_frozen, report_limits, resolution_of, tell_steps, unwrap
 from bristle.model.errors import BristleError
 from bristle.model.table import Array, read_columns, si_column
+
+Entry = tuple[str, str, ArrayLike, ArrayLike, ArrayLike]
 
 SHORTEST = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz, and half are held out
 BRIEFEST = 2.0  # s, likewise
 SMALLEST, LARGEST = 1e-30, 1e30  # SI: no rig gives less or more, and squares of such numbers are no numbers any more
 GAP = 3.5  # an interval of more than this many is a gap; shorter ones are bridged
+COPY = 1e-6  # of its range: columns that differ by less are one, written with more or fewer digits
 EPOCH = 1e6  # s: a time that starts above counts from 1970, not from the start
 
 
@@ -44,18 +48,20 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
         One line: what, where, what is allowed, what to do.
     """
     must_be_model(model)
-    if isinstance(paths, str | Path):
-        paths = [paths]
-    if not paths:
+    given: object = paths
+    listed: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
+    if not listed:
         raise BristleError("no record is given; give at least one measured file")
-    real = [Path(path).resolve() for path in paths]
+    for path in listed:
+        must_be_path(path, "record")
+    real = [Path(path).resolve() for path in listed]
     for k, path in enumerate(real):
         if path in real[:k]:
-            raise BristleError(f"record {paths[k]}: is given twice; a copy is no second measurement: leave it out")
-    read = [_read(model, Path(path)) for path in paths]
-    stems = [Path(path).stem for path in paths]
+            raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
+    read = [_read(model, Path(path)) for path in listed]
+    stems = [Path(path).stem for path in listed]
     names = [f"{stem}#{stems[:i].count(stem) + 1}" if stems.count(stem) > 1 else stem for i, stem in enumerate(stems)]
-    return records_from_arrays(model, [(name, *columns) for name, columns in zip(names, read, strict=True)])
+    return _records(model, [(name, str(path), *columns) for name, path, columns in zip(names, listed, read, strict=True)])
 
 
 def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
@@ -81,24 +87,34 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     must_be_model(model)
     if not isinstance(arrays, Iterable):
         raise BristleError("the records are no list; give one of (name, time, u, y)")
+    return _records(model, _entries(arrays))
+
+
+def _entries(arrays: Iterable[object]) -> Iterator[Entry]:
+    """Check that each entry is what it should be; a record in memory is told by its name."""
+    for number, entry in enumerate(arrays, start=1):
+        if not isinstance(entry, list | tuple) or len(entry) != 4:
+            raise BristleError(f"record {number}: is not (name, time, u, y); give these four")
+        name, time, u, y = entry
+        yield name, name, time, u, y
+
+
+def _records(model: Model, entries: Iterable[Entry]) -> list[Record]:
+    """Check and mend records, each of a name, what errors call it, time, u and y."""
     records: list[Record] = []
     before: dict[str, tuple[Array, Array, Array]] = {}
     origin: float | None = None
-    for entry in arrays:
-        if not isinstance(entry, list | tuple) or len(entry) != 4:
-            raise BristleError(f"record {len(records) + 1}: is not (name, time, u, y); give these four")
-        name, *given = entry
-        time, u, y = (_vector(name, key, values) for key, values in zip(("time", "input", "output"), given, strict=True))
-        if not len(time) == len(u) == len(y):
-            sizes = f"time {len(time)}, input {len(u)}, output {len(y)} samples"
-            raise BristleError(f"record {name}: columns of different length ({sizes}); cut them to the same samples")
-        for other, columns in before.items():
-            if all(map(np.array_equal, (time, u, y), columns)):
-                raise BristleError(f"record {name}: is the same as {other}; a copy is no second measurement: leave it out")
-        before[name] = time, u, y
-        raw = Raw(name, time, u, y, [])
+    for name, where, *given in entries:
+        time, u, y = vectors(where, *given)
+        if where in before:
+            raise BristleError(f"record {where}: two records have this name, by which reports tell them; give each its own")
+        raw = Raw(name, where, time, u, y, [])
         _cut_ends(raw)
         _possible(model, raw)
+        for other, columns in before.items():
+            if all(map(_same, (raw.time, raw.u, raw.y), columns)):
+                raise raw.error(f"is the same as {other}; a copy is no second measurement: leave it out")
+        before[where] = raw.time, raw.u, raw.y
         if origin is None and len(raw.time) and abs(raw.time[0]) > EPOCH:
             origin = float(raw.time[0])
         if origin is not None and abs(raw.time[0]) > EPOCH:
@@ -110,14 +126,14 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     if all(_constant(record.u) for record in records):
         first = records[0]
         raise BristleError(
-            f"record {first.name}: input is constant ({first.u[0]:g} {model.input_unit}) in every record; "
+            f"record {next(iter(before))}: input is constant ({first.u[0]:g} {model.input_unit}) in every record; "
             "check [input] column, and give a record in which it moves"
         )
     for i, record in enumerate(records):
         if _constant(record.u):
             line = f"input is constant ({record.u[0]:g} {model.input_unit}): the record shows friction, but hardly inertia"
             records[i] = replace(record, findings=(*record.findings, f"record {record.name}: {line}"))
-    return one_rate(records)
+    return tell_steps(model, one_rate(records))
 
 
 def _read(model: Model, path: Path) -> tuple[Array, Array, Array]:
@@ -130,17 +146,9 @@ def _read(model: Model, path: Path) -> tuple[Array, Array, Array]:
     return time, u, y
 
 
-def _vector(name: str, key: str, values: ArrayLike) -> Array:
-    try:
-        array = np.asarray(values)
-        if array.dtype.kind == "c":
-            raise TypeError
-        array = array.astype(float)
-    except (TypeError, ValueError):
-        raise BristleError(f"record {name}: {key} is not an array of numbers; give one of shape (n,)") from None
-    if array.ndim != 1:
-        raise BristleError(f"record {name}: {key} has shape {array.shape}; give one of shape (n,)")
-    return array
+def _same(one: Array, other: Array) -> bool:
+    """True if two columns differ by no more than the digits with which files of different formats hold them."""
+    return len(one) == len(other) and bool(np.max(np.abs(one - other)) <= COPY * np.ptp(one))
 
 
 def _constant(u: Array) -> bool:
@@ -159,7 +167,7 @@ def _cut_ends(raw: Raw) -> None:
     first, last = int(good[0]), int(good[-1])
     if not whole[first : last + 1].all():
         k = first + int(np.argmin(whole[first : last + 1]))
-        key = ("time", "input", "output")[int(np.argmin(np.isfinite(table[k])))]
+        key = NAMES[int(np.argmin(np.isfinite(table[k])))]
         count = int(np.sum(~whole[first : last + 1]))
         raise raw.error(f"{key} is not finite at sample {k} ({count} such samples before the end); repair them or cut the record")
     raw.say(f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite; left out")
@@ -169,7 +177,7 @@ def _cut_ends(raw: Raw) -> None:
 def _possible(model: Model, raw: Raw) -> None:
     """Refuse numbers that are none of a rig."""
     units = ("s", model.input_unit, model.output_unit)
-    for key, values, unit in zip(("time", "input", "output"), (raw.time, raw.u, raw.y), units, strict=True):
+    for key, values, unit in zip(NAMES, (raw.time, raw.u, raw.y), units, strict=True):
         most = float(np.max(np.abs(values)))
         if most > LARGEST or 0.0 < most < SMALLEST:
             raise raw.error(f"{key} reaches {most:.3g} {unit}, allowed {SMALLEST:g} to {LARGEST:g}; check its column and unit")
@@ -190,8 +198,9 @@ def _pieces(model: Model, raw: Raw) -> list[Record]:
     runs = list(zip([0, *borders.tolist()], [*borders.tolist(), len(raw.time)], strict=True))
     records, dropped = [], []
     for number, (start, end) in enumerate(runs, start=1):
-        name = raw.name if len(runs) == 1 else f"{raw.name}[{number}]"
-        piece = Raw(name, raw.time[start:end], raw.u[start:end], raw.y[start:end], [])
+        which = "" if len(runs) == 1 else f"[{number}]"
+        name = raw.name + which
+        piece = Raw(name, raw.where + which, raw.time[start:end], raw.u[start:end], raw.y[start:end], [])
         length = piece.time[-1] - piece.time[0]
         still = np.ptp(piece.y) <= STILL * (resolution or 0.0)
         if len(piece.time) < SHORTEST or length < BRIEFEST or still:

@@ -165,6 +165,8 @@ class Model:
         BristleError
             One line that names key, value and what is allowed.
         """
+        if not isinstance(tree, Mapping):
+            raise BristleError(f"{where}: is a {type(tree).__name__}; give a dict such as tomllib.load returns, or use load_model")
         try:
             table = ModelTable.model_validate(dict(tree))
         except ValidationError as error:
@@ -178,6 +180,12 @@ def must_be_model(model: object) -> None:
         raise BristleError(f"the model is a {type(model).__name__}; give what load_model or Model.from_dict returns")
 
 
+def must_be_path(path: object, what: str) -> None:
+    """Raise `BristleError` where something else is given for a path."""
+    if not isinstance(path, str | os.PathLike):
+        raise BristleError(f"the path of a {what} is a {type(path).__name__}; give text or a Path")
+
+
 def load_model(path: Path | str) -> Model:
     """Read and check a model file.
 
@@ -186,6 +194,7 @@ def load_model(path: Path | str) -> Model:
     BristleError
         One line that names file, key, value and what is allowed.
     """
+    must_be_path(path, "model file")
     path = Path(path)
     _, tree = read_toml(path, "model file")
     return Model.from_dict(tree, path)

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy import fft, stats
 
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.record import Raw
+from bristle.diagnosis.record import Raw, Record
 from bristle.diagnosis.steps import common_step
+from bristle.model.table import Array
 
 SATURATED = 0.01  # a share of samples at an extreme value above this is a limit
 LIMITED = 10  # samples, at least
 CREST = 4.0  # and many times as long as on the values next to it
 LEVELS = 20  # an input of fewer values is switched, not limited
 STILL = 3.001  # steps of the resolution: less is no motion
+FINE = 1e-5  # of the range, or of a turn: finer steps are those of a reading that is as good as continuous
+WHOLE = 0.05  # counts: a turn of a whole number of them, as far as a step can be found
+CHANCE = 0.01  # that pure noise passes for motion, in each test: to take a motion for noise would be worse
 SPIKE = 8.0  # a spike steps this many times farther than its neighbours
 BITS = (8, 32)  # of a counter that wraps
 STUCK = 0.2  # s: an output that stands still so long while the input sweeps most of its range is worth a line
@@ -33,16 +40,49 @@ def resolution_of(model: Model, raw: Raw) -> float | None:
     return found
 
 
+def tell_steps(model: Model, records: list[Record]) -> list[Record]:
+    """Say once, with the first record, in what steps the output moves where the model does not know."""
+    step = max(record.resolution or 0.0 for record in records)
+    span = max(float(np.ptp(record.y)) for record in records)
+    turns = model.output_kind == "position" and not model.linear
+    if model.resolution is not None or step <= FINE * (min(span, 2.0 * np.pi) if turns else span):
+        return records
+    counts = 2.0 * np.pi / step
+    whole = turns and abs(counts - round(counts)) < WHOLE
+    line = f"the output moves in steps of {step:.3g} {model.output_unit}" + (f" ({counts:.0f} a turn)" if whole else "")
+    return [replace(records[0], findings=(*records[0].findings, line)), *records[1:]]
+
+
 def must_move(model: Model, raw: Raw, resolution: float | None) -> None:
-    """Refuse an output that stays within a few of its steps."""
-    span = float(np.ptp(raw.y))
+    """Refuse an output that stays within a few of its steps, or is nothing but noise."""
+    span, unit = float(np.ptp(raw.y)), model.output_unit
     if span <= STILL * (resolution or 0.0) or span <= 1e-12 * float(np.max(np.abs(raw.y))):
-        unit = model.output_unit
-        raise raw.error(
-            f"nothing moves: the output stays within {span:.3g} {unit}"
-            + (f", its resolution is {resolution:.3g} {unit}" if resolution else "")
-            + "; check [output] column, and give a record with motion"
-        )
+        seen = f"the output stays within {span:.3g} {unit}" + (f", its resolution is {resolution:.3g} {unit}" if resolution else "")
+    elif _only_noise(raw.u, raw.y):
+        seen = f"all that the output shows is noise of {np.std(raw.y):.3g} {unit} rms"
+    else:
+        return
+    raise raw.error(f"nothing moves: {seen}; check [output] column, and give a record with motion")
+
+
+def _only_noise(u: Array, y: Array) -> bool:
+    """True if the output is white and does not follow the input: a servo is slow, so that its motion is not white.
+
+    Of white noise, the shares that the frequencies have in the power add up evenly, none stands out, and the correlation
+    with anything else is small at every lag. A motion far smaller than the noise shows in one of the three. Ranks stand for
+    the values, lest a lone outlier, whose spectrum is even as well, hide a motion.
+    """
+    u, y = stats.rankdata(u), stats.rankdata(y)
+    n = len(y)
+    spectrum = np.asarray(fft.rfft(y))
+    spectrum[0] = 0.0  # the mean
+    share = np.abs(spectrum[1 : (n + 1) // 2]) ** 2
+    share /= np.sum(share)
+    m = len(share)
+    if m * np.exp(-m * np.max(share)) < CHANCE or stats.kstest(np.cumsum(share)[:-1], "uniform").pvalue < CHANCE:
+        return False
+    correlation = fft.irfft(spectrum * np.conj(fft.rfft(u)), n) / (n * np.std(u) * np.std(y) or 1.0)
+    return bool(n * np.exp(-n * np.max(correlation**2) / 2) > CHANCE)
 
 
 def mend_spikes(raw: Raw, resolution: float | None) -> None:

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis.bench import Bench, Stage, settle
+from bristle.diagnosis.clock import must_agree
 from bristle.diagnosis.conclude import conclude, fell_between, gap_between, views_beside
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.feed import NotHeldError, fed
@@ -83,6 +84,7 @@ def must_be(model: object, records: object) -> None:
         raise BristleError("the records are not a list of Record; give what load_records or records_from_arrays returns")
     if not records:
         raise BristleError("no record is given; give at least one")
+    must_agree(records)
 
 
 def mend_first(

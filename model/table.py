@@ -40,6 +40,8 @@ def read_columns(path: Path) -> Columns:
     """
     if path.is_dir():
         raise BristleError(f"record {path}: is a folder; give a file, and each file with an option of its own")
+    if path.exists() and not path.is_file():
+        raise BristleError(f"record {path}: is a pipe or device, no regular file; write it to one first")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise BristleError(f"record {path}: unknown format '{path.suffix}'; known: {', '.join(READERS)}")

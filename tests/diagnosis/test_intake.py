@@ -1,9 +1,11 @@
 """Intake: what is wrong with a record is mended and reported, or refused in one line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bristle.diagnosis import Model, Record, load_records, records_from_arrays
+from bristle.diagnosis import Model, Record, diagnose, load_model, load_records, records_from_arrays
 
 H = 1e-3
 N = 6000
@@ -27,9 +29,14 @@ def one(model, t, u, y):
     return record
 
 
+def said(record):
+    """Return the findings, but for that on the steps of the output."""
+    return tuple(line for line in record.findings if not line.startswith("the output moves in steps"))
+
+
 def only(record, *words):
     """The record has one finding, with these words, and it names the record."""
-    [line] = record.findings
+    [line] = said(record)
     assert line.startswith("record run")
     assert "\n" not in line
     for word in words:
@@ -43,7 +50,7 @@ def test_a_good_record_is_not_touched(model):
     t, u, y = motion()
     record = one(model, t + 17.0, u, counts(y))
     assert isinstance(record, Record)
-    assert record.findings == ()
+    assert record.findings == ("the output moves in steps of 0.00153 rad (4096 a turn)",)
     assert record.name == "run"
     assert record.h == pytest.approx(H, rel=1e-12)
     np.testing.assert_allclose(record.time, t + 17.0, rtol=0, atol=1e-12)
@@ -191,6 +198,8 @@ def test_nearly_the_same_rate_is_the_same(model):
         (lambda t, u, y: (t[:900], u[:900], y[:900]), ["lasts 0.899 s", "at least 2 s", "[time] unit"]),
         (lambda t, u, y: (t * 1000, u, y), ["sampled every 1 s", "[time] unit", "ms"]),
         (lambda t, u, y: (t / 1000, u, y), ["sampled every 1e-06 s", "[time] unit"]),
+        (lambda t, u, y: (t / 101, u, y), ["sampled every 9.90099e-06 s; allowed are 1e-05"]),
+        (lambda t, u, y: (t / 100, u, y), ["lasts 0.05999 s", "[time] unit"]),  # 1e-5 s, as far as a float can tell
         (lambda t, u, y: (t[::-1], u, y), ["falls back at sample 1", "sort"]),
         (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["falls back at sample 3001", "two runs"]),
         (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
@@ -221,6 +230,41 @@ def test_what_cannot_be_mended_is_refused_in_one_line(change, words, model, mess
         assert word in text, text
 
 
+RNG = np.random.default_rng(5)
+WHITE = RNG.standard_normal(N)
+
+
+@pytest.mark.parametrize("noise", [1e-4 * WHITE + 2.0, STEP * RNG.integers(0, 2, N), 1e-3 * RNG.standard_t(2, N)])
+def test_noise_alone_is_no_motion(noise, model, message):
+    t, u, _ = motion()
+    for input_ in (u, RNG.standard_normal(N)):
+        text = message(lambda input_=input_: one(model, t, input_, noise))
+        assert text.startswith("record run: nothing moves: all that the output shows is noise of ")
+        assert "[output] column, and give a record with motion" in text
+
+
+@pytest.mark.parametrize(
+    "y",
+    [
+        WHITE + 0.5 * np.linspace(0, 1, N),  # creep
+        WHITE + 0.4 * (np.arange(N) > 4000),  # a slip
+        STEP * np.round(0.6 * WHITE + 0.5 * motion()[1]),  # presliding of a fraction of a count
+        STEP * np.floor(3 * np.sin(motion()[0])),
+        motion()[2] + 1e9 * (np.arange(N) == 3),  # the spectrum of an outlier is even
+    ],
+)
+def test_motion_far_below_the_noise_is_motion(y, model):
+    t, u, _ = motion()
+    assert len(one(model, t, u, y)) == N
+
+
+def test_an_output_as_white_as_noise_that_follows_the_input_is_motion(tree):
+    tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
+    t, _, _ = motion()
+    u = RNG.standard_normal(N)
+    assert len(one(Model.from_dict(tree), t, u, WHITE + 0.2 * np.roll(u, 1))) == N
+
+
 def test_no_record_and_wrong_entries(model, message, tmp_path):
     assert "no record" in message(lambda: load_records(model, []))
     assert "no record" in message(lambda: records_from_arrays(model, []))
@@ -238,11 +282,61 @@ def test_no_record_and_wrong_entries(model, message, tmp_path):
     assert "t, torque, theta" in text
 
 
+def test_arguments_of_another_kind_are_one_line(model, message):
+    t, u, y = motion()
+    for wrong in ([3], 3, [None], None):
+        assert "the path of a record is a " in message(lambda wrong=wrong: load_records(model, wrong))
+    assert "the path of a model file is a NoneType" in message(lambda: load_model(None))
+    assert "model: is a NoneType; give a dict" in message(lambda: Model.from_dict(None))
+    assert "record 3: its name is a int" in message(lambda: records_from_arrays(model, [(3, t, u, y)]))
+    assert "record a: two records have this name" in message(lambda: records_from_arrays(model, [("a", t, u, y), ("a", t, y, u)]))
+    assert "record a: holds no sample" in message(lambda: records_from_arrays(model, [("a", [], [], [])]))
+    dated = (t * 1e6).astype("datetime64[us]")
+    assert "time is not an array of numbers but of timestamps" in message(lambda: one(model, dated, u, y))
+
+
+def test_the_same_record_in_another_format_is_a_copy(model, message):
+    t, u, y = motion()
+    written = [np.array([float(f"{x:.7g}") for x in column]) for column in (t, u, y)]
+    assert "record b: is the same as a" in message(lambda: records_from_arrays(model, [("a", t, u, y), ("b", *written)]))
+    assert len(records_from_arrays(model, [("a", t, u, y), ("b", t, u, y + 1e-4 * WHITE)])) == 2
+
+
+def test_masked_samples_are_missing(model, message):
+    t, u, y = motion()
+    assert len(one(model, t, u, np.ma.masked_where(t < 0.01, y))) == N - 10
+    assert "input is not finite at sample 70" in message(lambda: one(model, t, np.ma.masked_where(t == t[70], u), y))
+
+
+def test_a_record_made_by_hand_is_checked(model, message):
+    t, u, y = motion()
+    made = Record("run", t.tolist(), H, u.tolist(), y.tolist())
+    assert all(column.dtype == float and len(column) == N for column in (made.time, made.u, made.y))
+    for change, words in (
+        ({"u": u[:-5]}, "columns of different length (time 6000, input 5995, output 6000 samples)"),
+        ({"u": u[:, None]}, "input has shape (6000, 1)"),
+        ({"y": np.where(t == t[50], np.nan, y)}, "output is not finite at sample 50"),
+        ({"u": "fast"}, "input is not an array of numbers"),
+        ({"h": 0.0}, "h is 0.0; give the sampling period"),
+        ({"h": None}, "h is None; give the sampling period"),
+        ({"name": 3}, "its name is a int; give text"),
+    ):
+        assert words in message(lambda change=change: replace(made, **change))
+    for other, words in (
+        (Record("b", t, 2e-3, u, y), "record b: h is 0.002 s, but from sample 0 to the next it is 0.001 s"),
+        (Record("b", 2 * t, 2e-3, u, y), "record b: sampled every 0.002 s, record run every 0.001 s; records_from_arrays"),
+    ):
+        assert words in message(lambda other=other: diagnose(model, [made, other]))
+
+
 def test_one_path_is_a_list_of_one_and_none_counts_twice(model, message, tmp_path):
     np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,u,theta", comments="")
     [alone] = load_records(model, tmp_path / "r.csv")
     [same] = load_records(model, str(tmp_path / "r.csv"))
     assert alone.name == same.name == "r"
+    still = tmp_path / "still.csv"
+    np.savetxt(still, np.column_stack(motion()) * [1, 1, 0], delimiter=",", header="t,u,theta", comments="")
+    assert message(lambda: load_records(model, still)).startswith(f"record {still}: nothing moves")
     twice = [tmp_path / "r.csv", tmp_path / "." / "r.csv"]
     assert "is given twice" in message(lambda: load_records(model, twice))
 
@@ -333,7 +427,7 @@ def test_noise_and_steps_are_no_spikes(model):
     assert one(model, t, u, heavy).findings == ()
     slow = counts(0.02 * np.sin(t))  # flickers between neighbouring counts
     flicker = slow + STEP * (rng.random(N) < 0.01)
-    assert one(model, t, u, flicker).findings == ()
+    assert said(one(model, t, u, flicker)) == ()
 
 
 def test_a_saturated_input_is_reported(model):
@@ -362,6 +456,20 @@ def test_the_resolution_is_found(step, offset, model):
     assert one(model, t, u, y + offset).resolution is None
 
 
+def test_the_steps_of_the_output_are_told_once_where_the_model_does_not_know_them(tree):
+    t, u, y = motion()
+
+    def found(model, step):
+        records = records_from_arrays(model, [("a", t, u, counts(y, step)), ("b", t, u, counts(motion(seed=1)[2], step))])
+        return [line for record in records for line in record.findings]
+
+    model = Model.from_dict(tree)
+    assert found(model, STEP / 16) == ["the output moves in steps of 9.59e-05 rad (65536 a turn)"]
+    assert found(model, 3e-3) == ["the output moves in steps of 0.003 rad"]
+    assert found(model, 4e-6) == found(replace(model, resolution=STEP), STEP) == []
+    assert found(replace(model, linear=True), STEP) == ["the output moves in steps of 0.00153 m"]
+
+
 def test_a_lost_reading_is_reported(model):
     t, u, y = motion()
     stuck = counts(y)
@@ -375,4 +483,4 @@ def test_rest_under_a_sweeping_input_is_reported(model):
     line = [each for each in one(model, t, u, counts(resting)).findings if "stands still" in each]
     assert len(line) == 1
     quiet = np.where((t > 3) & (t < 6), 0.1 * u, u)  # stiction under a small input is ordinary
-    assert one(model, t, quiet, counts(resting)).findings == ()
+    assert said(one(model, t, quiet, counts(resting))) == ()

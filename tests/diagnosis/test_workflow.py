@@ -123,8 +123,9 @@ def test_records_of_different_rates_are_brought_to_one(call: Call, plain: list[C
     code, answer, _ = call((t[::2], u.reshape(-1, 2).mean(axis=1), y[::2]), other)
     assert code == 0
     assert answer["excitation"]["sampling_period"]["value"] == pytest.approx(2e-3)
-    [line] = answer["findings"]
-    assert "resampled" in line
+    steps, resampled = answer["findings"]
+    assert "resampled" in resampled
+    assert steps == "the output moves in steps of 0.000383 rad (16384 a turn)"
     assert answer["verdict"] == "none"
 
 

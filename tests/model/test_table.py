@@ -1,5 +1,6 @@
 """Tables: all formats give the same numbers, fast, and a bad file is one line that says where."""
 
+import os
 import time
 
 import numpy as np
@@ -74,6 +75,12 @@ def test_what_is_not_there_and_what_is_no_file(suffix, tmp_path):
     (tmp_path / f"folder{suffix}").mkdir()
     with pytest.raises(BristleError, match="is a folder"):
         read_columns(tmp_path / f"folder{suffix}")
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(BristleError, match="pipe or device"):
+        read_columns(tmp_path / "pipe.csv")
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t"])
