@@ -39,7 +39,8 @@ LEAD = 0.04  # s before a segment from which the FMU runs: hidden states come to
 CLOSE = 0.1  # of the gap: a servo that is as close to the FMU may move as far as the model's own bounds
 NEAR = 1.5  # else by this factor either way, for the difference is that of the fitted parameters
 ROUNDS = 4  # times that the servo is fitted to the FMU, each time as closely as it came before
-TRUST = 0.5  # of what a refit leaves of the gap: if the servo is farther from the FMU than that, nothing is named
+TRUST = 0.5  # of what a refit leaves of the gap: if the servo is farther from the FMU than that, and than what the sensor alone
+# gives, nothing is named
 OFF = 0.02  # parameters that differ by less are not worth a line
 
 
@@ -110,10 +111,12 @@ def _diagnosed(fmu: Fmu, model: Model, records: Sequence[Record], tell: Tell, be
     base = settle_well(twin.bench, *base_of(free, twin.bench))
     left = mean_square(base.fit, twin.bench.held)
     kept = replace(like, bounds=_around(model, like))
-    if twin.error > TRUST * math.sqrt(left):
+    if twin.error > max(TRUST * math.sqrt(left), base.problem.noise.sensor):
         return _refused(kept, twin, records, left, lines, time.perf_counter() - begun)
     found = examine(free, records, twin.bench, base, tell, begun)
-    return replace(found, model=kept, findings=(*lines, *_wrong(fmu, found, twin), *found.findings))
+    wrong = _wrong(fmu, found, twin)
+    agrees = [] if wrong or found.verdict != "none" or found.remains.flag else [_agreement(fmu, found, twin)]
+    return replace(found, model=kept, statement=(*agrees, *found.statement), findings=(*lines, *wrong, *found.findings))
 
 
 def _checked(fmu: Fmu, model: Model) -> Fmu:
@@ -282,6 +285,13 @@ def _closeness(fmu: Fmu, model: Model, twin: Twin) -> str:
         f"a servo with {servo} follows {fmu.path.name} to {twin.error:.3g} {model.output_unit} rms; "
         f"what was measured is {twin.gap:.3g} {model.output_unit} rms away from it"
     )
+
+
+def _agreement(fmu: Fmu, found: answer.Diagnosis, twin: Twin) -> str:
+    """Return the answer where nothing is missing and no parameter is wrong."""
+    unit, alone = found.gap.output_unit, math.sqrt(found.gap.noise_floor or 0.0)
+    of_it = "disturbance and sensor alone give " + ("as much" if alone >= twin.gap else f"{alone:.3g} {unit} of it")
+    return f"{fmu.path.name} agrees with the records: rms {twin.gap:.3g} {unit}; {of_it}."
 
 
 def _wrong(fmu: Fmu, found: answer.Diagnosis, twin: Twin) -> list[str]:
