@@ -74,6 +74,8 @@ class Fmu:
             description = read_model_description(str(self.path), validate=self.foreign)
         except Exception as error:  # FMPy lets through whatever zipfile, lxml or its own parser raise
             reason = " ".join(str(error).split()) or type(error).__name__
+            if isinstance(error, AttributeError | KeyError | TypeError):  # it stumbled over something that is not there
+                reason = "modelDescription.xml is not one of FMI, or lacks an attribute such as fmiVersion"
             raise BristleError(f"FMU {self.path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
         if description.coSimulation is None or description.fmiMajorVersion not in (2, 3):
             raise BristleError(f"FMU {self.path}: no Co-Simulation of FMI 2 or 3 inside; export it as Co-Simulation")

@@ -7,6 +7,9 @@ import pytest
 
 from bristle.diagnosis import Model, diagnose_fmu, records_from_arrays
 from bristle.fmus import obtain
+from bristle.fmus.host import Fmu
+from bristle.fmus.playback import Play, Stretch, _Player, _whole, play_whole
+from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -70,3 +73,18 @@ def test_what_the_fmu_has_is_not_named_and_its_wrong_parameter_is_told(tree, rec
 def test_an_input_in_another_unit_is_told(model, records):
     found = diagnose_fmu(obtain("plant", law="coulomb", parameters=SERVO | {"b": 0.5}), model, records())
     said(found, "is in V, that of the records in N.m", "given their numbers")
+
+
+def test_an_output_that_is_no_number_is_told_with_its_time(monkeypatch):
+    shown = iter([[0.1]] * 30)
+    monkeypatch.setattr(_Player, "_shown", lambda self: next(shown, [np.nan]))
+    play = Play(Fmu(obtain("plant", law="coulomb")), 0.1, (), ("theta",), {})
+    with pytest.raises(BristleError, match=r"coulomb.*\.fmu: output theta is nan at 3 s, not a finite number"):
+        _whole((play, Stretch(0.0, np.zeros(40), {})), np.zeros(2, dtype=np.int64))
+
+
+def test_files_where_the_user_stands_are_not_taken_for_modules(monkeypatch, tmp_path):
+    (tmp_path / "numpy.py").write_text("raise SystemExit('not numpy')")
+    monkeypatch.chdir(tmp_path)
+    stretch = Stretch(0.0, np.zeros(5), {})
+    assert len(play_whole(Play(Fmu(obtain("plant", law="coulomb")), 1e-3, (stretch,), ("theta",), {})).outputs[0]) == 5
