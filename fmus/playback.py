@@ -165,7 +165,7 @@ class _Player:
             k, j = bad[0]
             shown, time = f"{self.play.outputs[j]} is {outputs[k, j]}", stretch.time + k * self.play.h
             raise BristleError(
-                f"FMU {self.play.fmu.path}: output {shown} at {time:.6g} s, not a finite number; check what it does with these inputs"
+                f"FMU {self.play.fmu.path}: output {shown} at {time:.6g} s, not a finite number; check how it treats its inputs"
             )
         return outputs
 
