@@ -233,6 +233,8 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
     BristleError
         If the folder cannot be written; it is then as it was.
     """
+    if not isinstance(diagnosis, Diagnosis):
+        raise BristleError(f"the diagnosis is a {type(diagnosis).__name__}; give what diagnose or diagnose_fmu returns")
     out = Path(out)
     check_writable(out)
     check_places(out)

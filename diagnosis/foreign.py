@@ -28,7 +28,7 @@ from bristle.diagnosis.record import Record
 from bristle.diagnosis.search import Tell
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.workflow import examine, mend_first, must_be, retried
+from bristle.diagnosis.workflow import examine, mend_first, must_be, retried, teller
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.model.errors import BristleError
@@ -92,8 +92,8 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
         If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records are too short.
     """
     must_be(model, records)
-    tell = progress or (lambda text, fraction: None)
-    fmu = _checked(Fmu(Path(fmu_path), foreign=True), model)
+    tell = teller(progress)
+    fmu = _checked(Fmu(fmu_path, foreign=True), model)
     return retried(lambda given, begun: _diagnosed(fmu, model, given, tell, begun), records)
 
 

@@ -44,6 +44,8 @@ class Fmu:
     """
 
     def __init__(self, path: Path, foreign: bool = False) -> None:
+        if not isinstance(path, str | Path):
+            raise BristleError(f"the FMU is a {type(path).__name__}; give the path of an .fmu file")
         self.path, self.foreign = Path(path), foreign
         self._check_archive()
         self.description = self._read()

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 
 from bristle.cli import main as cli
-from bristle.diagnosis import Model, diagnose, records_from_arrays
+from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
 from bristle.diagnosis.modelfile import write_model
+from bristle.diagnosis.workflow import teller
+from bristle.fmus import build
 from bristle.model.errors import BristleError
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
@@ -215,3 +217,18 @@ def test_any_law_input_and_output(
     elif output == "position":
         assert names == ["gravity"]
         assert found.effects[0].parameters["amplitude"].value == pytest.approx(0.3, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda model, out: fmu_model(None), "the FMU is a NoneType; give the path"),
+        (lambda model, out: write(None, out), "the diagnosis is a NoneType; give what diagnose"),
+        (lambda model, out: teller(3), "progress is a int; give a function"),
+        (lambda model, out: build("plant", out, law="coulomb", effects="bias"), r"give a list of names: \['bias'\]"),
+        (lambda model, out: build("plant", out, law="gms", effects=["bias"], parameters={"bias.torque": ""}), "is not a number"),
+    ],
+)
+def test_arguments_of_a_wrong_kind_are_told_in_one_line(model, tmp_path, call, words):
+    with pytest.raises(BristleError, match=words):
+        call(model, tmp_path / "out")
