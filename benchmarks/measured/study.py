@@ -43,8 +43,9 @@ and symmetric Coulomb friction; the authors of the data name an offset, and fric
 the voltage. The model does not know of gravity. Those who recorded it also name friction that grows with the load.""",
     "bam_go1_load": """Runs of 6 s at 62.5 Hz with 0, 1, 2 and 3 kg at 0.15 m. The model is fitted to the runs without a load; with
 one, gravity must grow in proportion, and inertia by as much for each kilogram, from what motor and arm have. Found are 5.0,
-8.4 and 12.7 g·m², 3.4 more for the second kilogram and 4.3 for the third; a straight line through the three meets 1 g·m² without
-a load. The inertia is thus not in proportion to the load, and a straight line only nearly. The logged torque is that of the rotor, ahead of a gear that nobody mentions.""",
+8.4 and 12.7 g·m², 3.4 more for the second kilogram and 4.3 for the third; a straight line through the three meets 1 g·m²
+without a load. The inertia is thus not in proportion to the load, and a straight line only nearly. The logged torque is that
+of the rotor, ahead of a gear that nobody mentions.""",
     "odrive_cogging": """A motor turned once, slowly, three times with its anti-cogging compensation off and three times on; the
 input is the measured current, which holds that of the compensation: what it mends is the motion, not the motor. With it off the
 cogging must be named; with it on it must be gone from the motion or much smaller, and may be named or not.""",
