@@ -257,7 +257,7 @@ def diagnose(
             write(found, out, choose, fmi=int(fmi.value))
         except BristleError as error:
             problem = error
-    _summary(found)  # what took so long to find is said even where it cannot be written
+    _summary(found, choose if problem is None else None)  # what took so long to find is said even where it cannot be written
     if problem is None or isinstance(problem, IncompleteError):
         print(f"{found.verdict}  {out / 'report.html'}", flush=True)
     if problem is not None:
@@ -285,12 +285,14 @@ def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell:
     return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell)
 
 
-def _summary(found: Diagnosis) -> None:
-    """Print the answer: the sentences, and the effects with their parameters."""
+def _summary(found: Diagnosis, chosen: str | None = None) -> None:
+    """Print the answer: the sentences, and the effects with their parameters; `chosen` is in the augmented model."""
     text = "\n".join(found.statement)
     for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
         print(line)
     choice = [f"to have the model with one of these effects, give --choose: {', '.join(found.choices)}"] if found.choices else []
+    if chosen is not None:
+        choice = [f"the augmented model has '{chosen}', as chosen"]
     for line in (*([found.experiment] if found.experiment else []), *choice, *found.findings):
         print(f"  - {line}")
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]

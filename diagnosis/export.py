@@ -85,7 +85,7 @@ def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
             f"--choose {choose}: '{named[0]}' stands for it, and other effects were added to that; leave it out, "
             f"or give the model '{choose}' in [effects] and diagnose again"
         )
-    if diagnosis.verdict != "tie":
+    if not members:
         raise BristleError(f"--choose {choose}: there is no tie to choose from, the verdict is '{diagnosis.verdict}'; leave it out")
     raise BristleError(f"--choose {choose}: not a member of the tie; choose one of: {members}")
 
@@ -142,7 +142,6 @@ class _Package:
 
 def _package(diagnosis: Diagnosis, choose: str | None, fmi: int) -> _Package:
     package = _Package()
-    package.content["diagnosis.json"] = to_json(diagnosis.to_dict()).encode()
     package.meaning = {"diagnosis.json": "the answer in numbers", "report.html": "this page"}
     augmented = None
     try:
@@ -151,6 +150,8 @@ def _package(diagnosis: Diagnosis, choose: str | None, fmi: int) -> _Package:
         package.problems.append(error)
         package.notes.append(str(error))
         choose = None
+    chosen = {} if choose is None else {"chosen": choose}  # what the augmented model has in place of what stands for it
+    package.content["diagnosis.json"] = to_json(diagnosis.to_dict() | chosen).encode()
     if augmented is not None:
         _add_models(package, augmented, fmi)
     page = render(diagnosis, draw(diagnosis), package.meaning, package.notes, choose)
@@ -233,6 +234,8 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
     BristleError
         If the folder cannot be written; it is then as it was.
     """
+    if not isinstance(diagnosis, Diagnosis):
+        raise BristleError(f"the diagnosis is a {type(diagnosis).__name__}; give what diagnose or diagnose_fmu returns")
     out = Path(out)
     check_writable(out)
     check_places(out)

@@ -19,7 +19,7 @@ from bristle.diagnosis import result as answer
 from bristle.diagnosis.bench import Bench, settle_well
 from bristle.diagnosis.candidates import Servo
 from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.fit import Fit, evaluate, refit
+from bristle.diagnosis.fit import Fit, Free, evaluate, refit
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import check
@@ -28,7 +28,7 @@ from bristle.diagnosis.record import Record
 from bristle.diagnosis.search import Tell
 from bristle.diagnosis.segments import SMOOTH, Segments, smooth
 from bristle.diagnosis.size import mean_square
-from bristle.diagnosis.workflow import examine, mend_first, must_be, retried
+from bristle.diagnosis.workflow import examine, mend_first, must_be, retried, teller
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.model.errors import BristleError
@@ -38,8 +38,10 @@ Array = NDArray[np.float64]
 LEAD = 0.04  # s before a segment from which the FMU runs: hidden states come to life, position and velocity do not run off
 CLOSE = 0.1  # of the gap: a servo that is as close to the FMU may move as far as the model's own bounds
 NEAR = 1.5  # else by this factor either way, for the difference is that of the fitted parameters
+WIDER = 100.0  # times the model's own bounds: how far the servo follows an FMU that lies outside them
 ROUNDS = 4  # times that the servo is fitted to the FMU, each time as closely as it came before
-TRUST = 0.5  # of what a refit leaves of the gap: if the servo is farther from the FMU than that, nothing is named
+TRUST = 0.5  # of what a refit leaves of the gap: if the servo is farther from the FMU than that, and than what the sensor alone
+# gives, nothing is named
 OFF = 0.02  # parameters that differ by less are not worth a line
 
 
@@ -90,8 +92,8 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
         If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records are too short.
     """
     must_be(model, records)
-    tell = progress or (lambda text, fraction: None)
-    fmu = _checked(Fmu(Path(fmu_path), foreign=True), model)
+    tell = teller(progress)
+    fmu = _checked(Fmu(fmu_path, foreign=True), model)
     return retried(lambda given, begun: _diagnosed(fmu, model, given, tell, begun), records)
 
 
@@ -109,11 +111,13 @@ def _diagnosed(fmu: Fmu, model: Model, records: Sequence[Record], tell: Tell, be
     free = replace(like, bounds=_bounds(model, twin))
     base = settle_well(twin.bench, *base_of(free, twin.bench))
     left = mean_square(base.fit, twin.bench.held)
-    kept = replace(like, bounds=_around(model, like))
-    if twin.error > TRUST * math.sqrt(left):
+    kept = replace(like, bounds=_around(model, like.parameters))
+    if twin.error > max(TRUST * math.sqrt(left), base.problem.noise.sensor):
         return _refused(kept, twin, records, left, lines, time.perf_counter() - begun)
     found = examine(free, records, twin.bench, base, tell, begun)
-    return replace(found, model=kept, findings=(*lines, *_wrong(fmu, found, twin), *found.findings))
+    wrong = _wrong(fmu, found, twin)
+    agrees = [] if wrong or found.verdict != "none" or found.remains.flag else [_agreement(fmu, found, twin)]
+    return replace(found, model=kept, statement=(*agrees, *found.statement), findings=(*lines, *wrong, *found.findings))
 
 
 def _checked(fmu: Fmu, model: Model) -> Fmu:
@@ -212,7 +216,11 @@ def _state(s: Segments, outputs: Array) -> tuple[Array, Array]:
 
 def _twin(model: Model, bench: Bench, copy: Bench) -> Twin:
     """Fit a servo to the FMU (`copy`), and take what is left out of what was measured."""
-    fit = _fitted(copy, *base_of(model, copy))
+    servo, values = base_of(model, copy)
+    fit = _fitted(copy, servo, values)
+    if any(_ended(f, fit) for f in servo.free if f.name in model.bounds):  # an FMU may be anything, and is followed there
+        free = tuple(_widened(f) if f.name in model.bounds else f for f in servo.free)
+        fit = _fitted(copy, replace(servo, free=free), fit.values)
     first, pieces = 0, []
     for piece in bench.segments.pieces:
         n = len(piece.seen)
@@ -224,6 +232,16 @@ def _twin(model: Model, bench: Bench, copy: Bench) -> Twin:
     measured = evaluate(problem, fit.simulator, fit.free, fit.values, corrected.segments.starts)
     error, gap = (math.sqrt(mean_square(each, judged)) for each in (fit, measured))
     return Twin(corrected, fit.values, error, gap)
+
+
+def _ended(f: Free, fit: Fit) -> bool:
+    """True if a parameter is at an end of its interval; none at all, 0, is no end."""
+    return f.stuck(fit.values[f.name]) and fit.values[f.name] != 0.0
+
+
+def _widened(f: Free) -> Free:
+    ends = sorted((f.low / WIDER, f.high * WIDER))
+    return replace(f, low=ends[0], high=ends[1])
 
 
 def _fitted(copy: Bench, servo: Servo, values: Mapping[str, float]) -> Fit:
@@ -245,18 +263,20 @@ def _white(bench: Bench, level: float) -> Noise:
 
 def _bounds(model: Model, twin: Twin) -> dict[str, tuple[float, float]]:
     """Return how far the parameters may move from those that the FMU behaves like."""
+    around = _around(model, twin.values)
     if twin.error <= CLOSE * twin.gap:
-        return dict(model.bounds)
+        return around
     found = {}
-    for name, (low, high) in model.bounds.items():
+    for name, (low, high) in around.items():
         value = twin.values[name]
         ends = sorted((value / NEAR, value * NEAR)) if value else (low, high)
         found[name] = (max(low, ends[0]), min(high, ends[1]))
     return {name: (low, high) for name, (low, high) in found.items() if low < high}
 
 
-def _around(model: Model, like: Model) -> dict[str, tuple[float, float]]:
-    return {name: (min(low, like.parameters[name]), max(high, like.parameters[name])) for name, (low, high) in model.bounds.items()}
+def _around(model: Model, values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Return the bounds of a model, wide enough for values that may lie outside them."""
+    return {name: (float(min(low, values[name])), float(max(high, values[name]))) for name, (low, high) in model.bounds.items()}
 
 
 # -- what is said of it ------------------------------------------------------------------------------------------------
@@ -282,6 +302,13 @@ def _closeness(fmu: Fmu, model: Model, twin: Twin) -> str:
         f"a servo with {servo} follows {fmu.path.name} to {twin.error:.3g} {model.output_unit} rms; "
         f"what was measured is {twin.gap:.3g} {model.output_unit} rms away from it"
     )
+
+
+def _agreement(fmu: Fmu, found: answer.Diagnosis, twin: Twin) -> str:
+    """Return the answer where nothing is missing and no parameter is wrong."""
+    unit, alone = found.gap.output_unit, math.sqrt(found.gap.noise_floor or 0.0)
+    of_it = "disturbance and sensor alone give " + ("as much" if alone >= twin.gap else f"{alone:.3g} {unit} of it")
+    return f"{fmu.path.name} agrees with the records: rms {twin.gap:.3g} {unit}; {of_it}."
 
 
 def _wrong(fmu: Fmu, found: answer.Diagnosis, twin: Twin) -> list[str]:

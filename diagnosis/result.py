@@ -71,8 +71,9 @@ class Round:
 class View:
     """Share of the residual torque that is predictable from a view, before and after; p of the share before.
 
-    `label` says what was found in it, such as "7 in a turn"; `before` and `after` are residual torques in the bins of
-    `centres` (two arrays for views with a direction: forward, backward).
+    `label` says what was found in it, such as "7 in a turn"; `before` and `after`, shape (lines, bins), are
+    residual torques [N.m; N on a linear axis] in the bins of `centres` (bins,) [SI]; the `lines` have names, such as forward
+    and backward for views with a direction. Shares are of 1.
     """
 
     view: str
@@ -102,7 +103,12 @@ class Remains:
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean squared output error over held-out segments [`unit`]; `output_unit` is that of the output. See the contract."""
+    """Mean squared output error over held-out segments [`unit`], start states at their best.
+
+    `before`: of the model refitted without effects; `after`: with what was found; `noise_floor`: what disturbance and sensor
+    alone would leave, None where that was not sought; `output_unit` is that of the output. `ratio`: before over floor;
+    `shrink`: share of what is above the floor that was closed.
+    """
 
     before: float
     after: float
@@ -127,7 +133,11 @@ class Gap:
 
 @dataclass(frozen=True)
 class Trace:
-    """Measured and simulated output of one record, segment by segment (NaN where no segment lies)."""
+    """Measured and simulated output of one record, segment by segment (NaN where it was not compared).
+
+    All arrays are (n,), an average a bin: `time` [s], `input` [unit of the input in SI], `measured`, `before` and `after`
+    [output]; `held_out` is true where the search did not see.
+    """
 
     name: str
     time: Array
@@ -143,6 +153,9 @@ class Diagnosis:
     """The whole answer; `to_dict` gives the content of diagnosis.json.
 
     `findings` are lines of intake and plausibility (what, where, what to do); `statement` is the answer in sentences.
+    `excitation`: what the records excite, as plain numbers (ranges of input, speed and position in SI, shares of the time at
+    rest, forward, backward; as in the report), and `narrow`, why the motion is too uniform, or an empty text. `seconds`: how
+    long it took [s].
     """
 
     verdict: str  # named | tie | none | not_identifiable

@@ -49,8 +49,15 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
         If there is no record, if all are too short, or if the model cannot be simulated.
     """
     must_be(model, records)
-    tell = progress or (lambda text, fraction: None)
+    tell = teller(progress)
     return retried(lambda given, begun: _diagnosed(model, given, tell, begun), records)
+
+
+def teller(progress: Tell | None) -> Tell:
+    """Return what progress is told to, if anybody; raise `BristleError` if that is no function."""
+    if not (progress is None or callable(progress)):
+        raise BristleError(f"progress is a {type(progress).__name__}; give a function of a text and the fraction done, or None")
+    return progress or (lambda text, fraction: None)
 
 
 def retried(work: Callable[[Sequence[Record], float], answer.Diagnosis], records: Sequence[Record]) -> answer.Diagnosis:

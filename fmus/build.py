@@ -36,6 +36,8 @@ def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None, 
     for name, value in (("law", law), ("method", method)):
         if value is not None and CHOICE.get(what) != name:
             raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
+    if isinstance(effects, str):
+        raise BristleError(f"effects is the text '{effects}'; give a list of names: ['{effects}']")
     if effects and what != "plant":
         raise BristleError(f"the {what} has no effects to add ('{effects[0]}'); leave them out")
     return law if what == "plant" else method

@@ -44,6 +44,8 @@ class Fmu:
     """
 
     def __init__(self, path: Path, foreign: bool = False) -> None:
+        if not isinstance(path, str | Path):
+            raise BristleError(f"the FMU is a {type(path).__name__}; give the path of an .fmu file")
         self.path, self.foreign = Path(path), foreign
         self._check_archive()
         self.description = self._read()
@@ -74,6 +76,8 @@ class Fmu:
             description = read_model_description(str(self.path), validate=self.foreign)
         except Exception as error:  # FMPy lets through whatever zipfile, lxml or its own parser raise
             reason = " ".join(str(error).split()) or type(error).__name__
+            if isinstance(error, AttributeError | KeyError | TypeError):  # it stumbled over something that is not there
+                reason = "modelDescription.xml is not one of FMI, or lacks an attribute such as fmiVersion"
             raise BristleError(f"FMU {self.path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
         if description.coSimulation is None or description.fmiMajorVersion not in (2, 3):
             raise BristleError(f"FMU {self.path}: no Co-Simulation of FMI 2 or 3 inside; export it as Co-Simulation")

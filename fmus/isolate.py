@@ -53,8 +53,8 @@ def isolated(
         (place / "work.pkl").write_bytes(pickle.dumps((work, argument, fmus)))
         control = np.memmap(place / "control", dtype=np.int64, mode="w+", shape=(2,))
         with (place / "said").open("wb") as said:
-            child = subprocess.Popen(
-                [sys.executable, "-m", "bristle.fmus.isolate", folder], stdin=subprocess.PIPE, stdout=said, stderr=said,
+            child = subprocess.Popen(  # -P: a folder "bristle" or a file "numpy.py" where the user stands is not ours
+                [sys.executable, "-P", "-m", "bristle.fmus.isolate", folder], stdin=subprocess.PIPE, stdout=said, stderr=said,
                 env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             )  # fmt: skip
             try:

@@ -159,7 +159,15 @@ class _Player:
 
     def run(self, stretch: Stretch) -> Array:
         """Return the outputs (n, len(outputs)) before each step."""
-        return np.array([self._shown(), *self._steps(stretch, len(stretch.u) - 1)])
+        outputs = np.array([self._shown(), *self._steps(stretch, len(stretch.u) - 1)])
+        bad = np.argwhere(~np.isfinite(outputs))
+        if len(bad):
+            k, j = bad[0]
+            shown, time = f"{self.play.outputs[j]} is {outputs[k, j]}", stretch.time + k * self.play.h
+            raise BristleError(
+                f"FMU {self.play.fmu.path}: output {shown} at {time:.6g} s, not a finite number; check how it treats its inputs"
+            )
+        return outputs
 
     def _steps(self, stretch: Stretch, n: int) -> Iterator[list[float]]:
         instance, h, three = self._slave.instance, self.play.h, self.play.fmu.fmi == 3

@@ -149,7 +149,7 @@ class Scenario(Section):
             raise ValueError('duration is missing; write for example duration = "20 s"')
         for key, part, choice in (("plant", self.plant, "law"), ("observer", self.observer, "method")):
             if part is not None and (part.fmu is None) == (getattr(part, choice) is None):
-                raise ValueError(f"[{key}] needs either {choice} or fmu")
+                raise ValueError(f"[{key}] needs either {choice} or fmu" + ("; both are given" if part.fmu else "; none is given"))
         for key, duration in (("duration", self.duration), ("validation.duration", self.validation and self.validation.duration)):
             if duration:
                 _steps(key, duration, self.step)

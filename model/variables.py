@@ -48,7 +48,11 @@ class Parameter:
 
     def check(self, value: float) -> float:
         """Return `value` if it lies in the interval, otherwise raise `BristleError`."""
-        if not (math.isfinite(value) and self.minimum <= value <= self.maximum):
+        try:
+            finite = math.isfinite(value)
+        except TypeError:
+            raise BristleError(f"{self.name} = {value!r} is not a number; give one in {self.unit}") from None
+        if not (finite and self.minimum <= value <= self.maximum):
             raise BristleError(
                 f"{self.name} = {value:g} {self.unit} is outside [{self.minimum:g}, {self.maximum:g}] {self.unit}; "
                 f"choose a value in that interval ({self.description})"

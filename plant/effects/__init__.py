@@ -4,16 +4,38 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from functools import cache
 
 from bristle.model.errors import BristleError
 from bristle.plant.effect import Effect
 
 
+@cache
+def _catalogue() -> tuple[Effect, ...]:
+    """Return what the files here declare, each checked, so that a mistake in one is told at once and with its file."""
+    files: dict[str, str] = {}
+    found = []
+    for module in sorted(module.name for module in pkgutil.iter_modules(__path__)):
+        effect, file = getattr(importlib.import_module(f"{__name__}.{module}"), "EFFECT", None), f"plant/effects/{module}.py"
+        if not isinstance(effect, Effect):
+            raise BristleError(f"{file}: no EFFECT; a file there declares one, so put helpers into plant/")
+        if effect.name in files:
+            raise BristleError(f"{file}: EFFECT is called '{effect.name}', as in {files[effect.name]}; give it a name of its own")
+        for parameter in effect.parameters:
+            if not parameter.name.startswith(f"{effect.name}."):
+                raise BristleError(f"{file}: parameter '{parameter.name}' must be called '{effect.name}.…'")
+        files[effect.name] = file
+        found.append(effect)
+    for effect in found:
+        if unknown := [name for name in effect.confounded if name not in files]:
+            listed = ", ".join(files)
+            raise BristleError(f"{files[effect.name]}: confounded with unknown effects: {', '.join(unknown)}; known: {listed}")
+    return tuple(found)
+
+
 def effects() -> dict[str, Effect]:
-    """Return all effects by name, in alphabetical order of their files."""
-    modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    found = [importlib.import_module(f"{__name__}.{name}").EFFECT for name in modules]
-    return {effect.name: effect for effect in found}
+    """Return all effects by name, in alphabetical order of their files; raise `BristleError` if a file declares none rightly."""
+    return {effect.name: effect for effect in _catalogue()}
 
 
 def effect(name: str) -> Effect:

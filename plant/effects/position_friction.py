@@ -12,13 +12,13 @@ from bristle.plant.effect import Array, Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
-    """Fc (1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta))).
+    """Fc max(1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta)), 0): friction never drives.
 
     Source: armstrong1994 (position-dependent friction; first two terms of its Fourier series).
     """
     angle = c.p.periods * c.theta
     twice = c.p.sine2 * ca.sin(2 * angle) + c.p.cosine2 * ca.cos(2 * angle)
-    value = 1 + c.p.amplitude * (ca.sin(angle + c.p.phase) + twice)
+    value = ca.fmax(1 + c.p.amplitude * (ca.sin(angle + c.p.phase) + twice), 0)
     return value, value
 
 
@@ -40,7 +40,7 @@ EFFECT = Effect(
     "dry friction that depends on the position",
     "armstrong1994",
     group="position_friction",
-    equation="Fc (1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta))) sgn v",
+    equation="Fc max(1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta)), 0) sgn v",
     residual=("theta x direction",),
     excitation="many turns in both directions",
     confounded=("cogging", "load_friction", "friction_drift"),

@@ -75,6 +75,10 @@ def test_a_faultless_run_meets_every_goal_but_that_of_intervals() -> None:
     assert unmet(perfect()) == {"95 % intervals that cover the truth, own form"}  # all of them cover: too wide
 
 
+def test_few_intervals_that_all_cover_the_truth_are_not_too_wide() -> None:
+    assert "95 % intervals that cover the truth, own form" not in unmet(perfect()[:6])
+
+
 @pytest.mark.parametrize(
     ("group", "allowed", "change", "goal"),
     [

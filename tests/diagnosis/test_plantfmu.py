@@ -53,3 +53,7 @@ def test_what_says_too_little_is_refused_in_one_line(tmp_path):
         pass
     with pytest.raises(BristleError, match="cannot be read"):
         fmu_model(tmp_path / "empty.fmu")
+    with zipfile.ZipFile(tmp_path / "other.fmu", "w") as other:
+        other.writestr("modelDescription.xml", "<a/>")
+    with pytest.raises(BristleError, match=r"not one of FMI, or lacks an attribute such as fmiVersion; give a valid"):
+        fmu_model(tmp_path / "other.fmu")

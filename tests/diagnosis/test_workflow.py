@@ -16,9 +16,10 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bristle.cli import main as cli
-from bristle.diagnosis import Model, diagnose, records_from_arrays
+from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
 from bristle.diagnosis.modelfile import write_model
-from bristle.diagnosis.workflow import retried
+from bristle.diagnosis.workflow import retried, teller
+from bristle.fmus import build
 from bristle.model.errors import BristleError
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
@@ -231,3 +232,18 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
         retried(lambda records, begun: seen.append(threads()), ())  # type: ignore[arg-type,return-value]
         assert seen == [{1}]
         assert threads() == {2}
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda model, out: fmu_model(None), "the FMU is a NoneType; give the path"),
+        (lambda model, out: write(None, out), "the diagnosis is a NoneType; give what diagnose"),
+        (lambda model, out: teller(3), "progress is a int; give a function"),
+        (lambda model, out: build("plant", out, law="coulomb", effects="bias"), r"give a list of names: \['bias'\]"),
+        (lambda model, out: build("plant", out, law="gms", effects=["bias"], parameters={"bias.torque": ""}), "is not a number"),
+    ],
+)
+def test_arguments_of_a_wrong_kind_are_told_in_one_line(model, tmp_path, call, words):
+    with pytest.raises(BristleError, match=words):
+        call(model, tmp_path / "out")

@@ -39,7 +39,7 @@ MISTAKES = [
     ("unknown law", '"modified"', '"modifed"', ["plant.law", "modifed", "did you mean 'modified'", "coulomb"]),
     ("unknown observer", '"bastin_gevers"', '"kalman"', ["observer.method", "kalman", "choose one of", "rls"]),
     ("no observer", '[observer]\nmethod = "bastin_gevers"', "", ["observer", "missing"]),
-    ("law and fmu", 'law = "modified"', 'law = "modified"\nfmu = "x.fmu"', ["[plant] needs either law or fmu"]),
+    ("law and fmu", 'law = "modified"', 'law = "modified"\nfmu = "x.fmu"', ["[plant] needs either law or fmu; both are given"]),
     ("sensor", 'step = "1 ms"', 'sensor = "radar"', ["sensor", "radar", "clean", "encoder"]),
     ("no checks", '[[checks]]\nquantity = "estimates.b.error_percent"\nmax_abs = 1e6', "", ["checks", "missing"]),
     ("check without limit", "max_abs = 1e6", "", ["checks[0]", "no limit"]),

@@ -3,6 +3,8 @@
 import math
 from functools import cache
 from itertools import combinations, pairwise
+from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -14,7 +16,8 @@ from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.python import python_tables
 from bristle.model.runtime import Core
-from bristle.plant.effect import VIEWS
+from bristle.plant import effects as catalogue
+from bristle.plant.effect import VIEWS, Context
 from bristle.plant.effects import effect, effects
 from bristle.plant.friction import law, laws
 from bristle.plant.servo import servo, servo_program
@@ -90,6 +93,29 @@ def test_names_are_the_catalogue():
     assert set(STRENGTH) == set(NAMES)
 
 
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("zbias", "", "", ("zbias.py", "called 'bias'", "effects/bias.py")),
+        ("helper", "EFFECT = ", "OTHER = ", ("helper.py", "no EFFECT")),
+        ("lead", '    "bias",', '    "lead",', ("lead.py", "parameter 'bias.torque' must be called 'lead.…'")),
+        ("mine", '"bias', '"mine', ("mine.py", "unknown effects: nonsense")),
+    ],
+)
+def test_a_mistake_in_a_file_of_an_effect_is_told_with_the_file(file, old, new, words, monkeypatch, tmp_path):
+    text = Path(catalogue.__file__).with_name("bias.py").read_text().replace(old, new)
+    (tmp_path / f"{file}.py").write_text(text.replace('"gravity"', '"nonsense"' if file == "mine" else '"gravity"'))
+    monkeypatch.setattr(catalogue, "__path__", [*catalogue.__path__, str(tmp_path)])
+    catalogue._catalogue.cache_clear()
+    try:
+        with pytest.raises(BristleError) as caught:
+            effects()
+    finally:
+        monkeypatch.undo()
+        catalogue._catalogue.cache_clear()
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_each_effect_is_declared_in_full(name):
     e = effect(name)
@@ -104,6 +130,20 @@ def test_each_effect_is_declared_in_full(name):
     assert set(e.confounded) <= set(NAMES) - {name}
     slots = (e.command, e.drive, e.torque, e.factor, e.bound, e.output, e.coupling, e.bristles)
     assert sum(slot is not None for slot in slots) == 1
+
+
+@pytest.mark.parametrize("name", ["friction_drift", "position_friction"])
+def test_friction_that_varies_never_drives(name):
+    """Within the declared intervals of its parameters, the factor of dry friction is 0 or more."""
+    e, rng = effect(name), np.random.default_rng(1)
+    p = {q.name.removeprefix(f"{name}."): ca.SX.sym(q.name) for q in e.parameters}
+    theta, time = ca.SX.sym("theta"), ca.SX.sym("time")
+    factor = e.factor(Context(SimpleNamespace(**p), theta, ca.SX(1), ca.SX(0), time, ca.SX(0)))
+    of = ca.Function("factor", [theta, time, *p.values()], [ca.vertcat(*factor)])
+    low, high = np.array([(q.minimum, q.maximum) for q in e.parameters]).T
+    seen = np.array([of(rng.uniform(-4, 4), rng.uniform(0, 10), *rng.uniform(low, high)) for _ in range(2000)])
+    assert seen.min() == 0
+    assert seen.max() > 1
 
 
 def test_what_is_in_one_class_is_confounded():
