@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -104,8 +103,9 @@ class Servo:
 
     def outdone(self, name: str, values: Mapping[str, float]) -> bool:
         """True if an effect brings bristles that are as stiff as the servo's own: what bends no more is no effect."""
-        own = next((f.usual for f in self.free if f.name == f"{RIGID}.stiffness"), math.inf)
-        return name in ELASTIC and values[f"{name}.stiffness"] >= own
+        if name not in ELASTIC or not self.rigid:
+            return False
+        return values[f"{name}.stiffness"] >= next(f.usual for f in self.free if f.name == f"{RIGID}.stiffness")
 
 
 @dataclass(frozen=True)
