@@ -106,7 +106,7 @@ def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(what: str, call:
 
 def test_an_output_that_has_nothing_to_do_with_the_input_is_no_good_model(call: Call, plain: list[Columns]) -> None:
     noise = np.random.default_rng(3)
-    code, answer, error = call(*((t, u, lfilter([0.05], [1, -0.95], noise.standard_normal(len(t)))) for t, u, _ in plain))
+    code, answer, error = call(*((t, u, lfilter([1.0], [1.0, -0.5], noise.standard_normal(len(t)))) for t, u, _ in plain))
     assert (code, error) == (0, "")
     assert (answer["verdict"], answer["effects"]) == ("not_identifiable", [])
     assert "not even J, a2, coulomb.Fc can be told from these records" in " ".join(answer["statement"])
