@@ -11,7 +11,7 @@ import numpy as np
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
-from bristle.diagnosis.bench import Bench, Stage
+from bristle.diagnosis.bench import Bench, Stage, lens_of
 from bristle.diagnosis.candidates import Candidate, scanned
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, resume
@@ -22,7 +22,7 @@ from bristle.diagnosis.record import Record
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import group, views_of
 from bristle.diagnosis.size import errors, fall, mean_square, squares
-from bristle.diagnosis.views import LEAST_P, Share, residual_map
+from bristle.diagnosis.views import LEAST_P, Share, residual_map, wave_map
 
 MAPS = 6  # views whose residual is drawn
 TOLD = 0.3  # half an interval relative to the value, which of one parameter at least must be less (of 556 records in which
@@ -167,13 +167,17 @@ def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.
         found.append([_along_axis(bench, share) for share in seen])
         torques.append(torque)
     before, after = found
+    lenses = lens_of(base, bench), lens_of(final, bench)  # each as its own noise sees it
     before = sorted(before, key=lambda share: share.p > SEEN)  # what chance gives comes last, whatever its share
     table = {share.view: share for share in after}
     views: list[answer.View] = []
     maps = 0
     for share in before:
         late = table[share.view]
-        drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if maps < MAPS else {}
+        drawn = {}
+        if maps < MAPS:
+            drawn = wave_map(share.view, bench.motion, *lenses, share.period(bench.turn))
+            drawn = drawn or residual_map(share.view, bench.motion, *torques)
         maps += bool(drawn)
         views.append(
             answer.View(share.view, share.share, max(share.p, LEAST_P), late.share, max(late.p, LEAST_P), share.label, **drawn)

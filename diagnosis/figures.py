@@ -93,14 +93,19 @@ class Rig:
         """Unit of the input."""
         return INPUT_UNITS[self.input_kind]
 
-    def axis(self, view: str) -> tuple[float, str]:
-        """Return (factor, label) of the axis of a view."""
-        name, kind = AXES.get(view.split(" ")[0], (view, "none"))
+    def axis(self, view: str, period: float | None = None) -> tuple[float, str]:
+        """Return (factor, label) of the axis of a view, or of one period of it."""
+        first = view.split(" ")[0]
+        name, kind = AXES.get("t" if first == "tone" else first, (view, "none"))
         units = {
             "angle": self.angle, "speed": f"{self.angle}/s", "acceleration": f"{self.angle}/s2", "input": self.drive,
             "input rate": f"{self.drive}/s", "time": "s", "frequency": "Hz", "none": "1",
         }  # fmt: skip
         factor, unit = shown(units[kind])
+        if period is not None:
+            turns = 0 if self.linear or kind != "angle" else round(2 * math.pi / period)
+            part = f"1/{turns} of a turn" if turns > 1 else "a turn" if turns else f"one period of {factor * period:.3g} {unit}"
+            name = f"{name} within {part}"
         return factor, f"{name}, {unit.replace('.', '·')}" if unit else name
 
 
@@ -275,7 +280,7 @@ def _thousands(values: Sequence[Array]) -> int:
 
 
 def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
-    factor, label = rig.axis(view.view)
+    factor, label = rig.axis(view.view, view.period)
     x = factor * view.centres
     many = np.atleast_2d(view.before).shape[0] > 1
     for row, before in enumerate(np.atleast_2d(view.before)):
@@ -369,6 +374,7 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
         "maps": (
             "Where the difference lives",
             f"Residual averaged in bins of the view{colours}; solid: forward, dashed: backward, where there are two lines. "
+            "What repeats is laid over itself, period upon period. "
             "The share is how much of the residual the view predicts on data it has not seen.",
         ),
         "candidates": (

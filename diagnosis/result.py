@@ -72,7 +72,8 @@ class View:
     """Share of the residual torque that is predictable from a view, before and after; p of the share before.
 
     `label` says what was found in it, such as "7 in a turn"; `before` and `after` are residual torques in the bins of
-    `centres` (two arrays for views with a direction: forward, backward).
+    `centres` (two arrays for views with a direction: forward, backward). With a `period` [unit of the axis] its periods are
+    laid over each other.
     """
 
     view: str
@@ -85,6 +86,7 @@ class View:
     before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins)
     after: Array = field(default_factory=lambda: np.empty(0))
     lines: tuple[str, ...] = ()
+    period: float | None = None
 
 
 @dataclass(frozen=True)
