@@ -12,7 +12,7 @@ import numpy as np
 from bristle.diagnosis.figures import Rig, captions, improved
 from bristle.diagnosis.modelfile import si_unit
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
-from bristle.diagnosis.story import STRAYS, view_name
+from bristle.diagnosis.story import STRAYS, rounded, view_name
 from bristle.model.html import badge, figure, number, page, table, unit
 from bristle.plant.effects import effects as all_effects
 
@@ -50,14 +50,12 @@ def _listed(names: Sequence[str], word: str) -> str:
 
 def interval(value: float, low: float, high: float) -> str:
     """Write a value with its interval, to two figures of its half width: 0.0600 ± 0.0018, or with both ends if lopsided."""
-    half = (high - low) / 2
-    if not (all(map(math.isfinite, (value, low, high))) and half > 0):
+    found = rounded(value, low, high)
+    if found is None:
         return number(value)
-    largest = max(abs(value), half)
-    power = 0 if 1e-3 <= largest < 1e5 else math.floor(math.log10(largest))
-    decimals = max(0, 1 - math.floor(math.log10(half) - power))
-    mid, below, above, spread = (f"{x / 10.0**power:.{decimals}f}".replace("-", "−") for x in (value, low, high, half))
-    lopsided = abs(high + low - 2 * value) > 0.2 * half
+    texts, power = found
+    mid, below, above, spread = (text.replace("-", "−") for text in texts)
+    lopsided = abs(high + low - 2 * value) > 0.1 * (high - low)
     text = f'{mid} <span class="sub">[{below} … {above}]</span>' if lopsided else f"{mid} ± {spread}"
     return text if power == 0 else f"({text})·10<sup>{power}</sup>".replace("-", "−")
 

@@ -25,6 +25,7 @@ SEPARATE = {  # what tells effects of one class apart
 }
 STRAYS = "a few where the servo went another way by chance may be most of it"
 UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
+DIGITS = 6  # of a value, at most
 MANY, MANY_UNIFORM = 3, 2  # most classes in a tie: with more, or with more in a uniform motion, the records name nothing
 
 AXES = {  # first part of a view -> name and kind of quantity
@@ -97,12 +98,40 @@ def _limit(c: Candidate, null: Null, model: Model) -> str:
     return f"{strength.description}: more than {limit:.2g}{'' if unit == '1' else ' ' + unit} would have been seen"
 
 
+def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str, str], int] | None:
+    """Return value, low, high and half the interval as texts, and the power of ten they are given in.
+
+    They end with the second digit of the half width, and at the sixth of the value at the latest: an interval that is
+    narrower is given as wide as that digit. None where there is no interval.
+    """
+    half = (high - low) / 2
+    if not (all(map(math.isfinite, (value, low, high))) and half > 0):
+        return None
+    most = math.floor(math.log10(max(abs(value), half)))
+    last = max(math.floor(math.log10(half)) - 1, most - DIGITS + 1)
+    if half < 10.0**last:
+        half = 10.0**last
+        low, high = value - half, value + half
+    power = 0 if -3 <= most < 5 else most
+    mid, below, above, spread = (f"{x / 10.0**power:.{max(0, power - last)}f}" for x in (value, low, high, half))
+    return (mid, below, above, spread), power
+
+
+def plain_texts(e: Estimate) -> tuple[str, str, str]:
+    """Return an estimate and the ends of its interval as plain texts; the ends are empty where there is none."""
+    found = rounded(e.value, *e.ci95) if e.ci95 else None
+    if found is None:
+        return f"{e.value:.4g}", "", ""
+    (mid, low, high, _), power = found
+    times = f"e{power}" if power else ""
+    return mid + times, low + times, high + times
+
+
 def value(e: Estimate) -> str:
     """Return an estimate with its interval."""
+    mid, low, high = plain_texts(e)
     unit = "" if e.unit == "1" else f" {e.unit}"
-    if e.ci95 is None or not all(math.isfinite(x) for x in e.ci95):
-        return f"{e.value:.4g}{unit} (uncertain)"
-    return f"{e.value:.4g}{unit} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
+    return f"{mid}{unit} ({low} to {high})" if low else f"{mid}{unit} (uncertain)"
 
 
 def statement(

@@ -14,7 +14,7 @@ import pytest
 from bristle.diagnosis.figures import Rig, draw, telling
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
-from bristle.diagnosis.story import statement, view_name
+from bristle.diagnosis.story import statement, value, view_name
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 VOID = {"meta", "img", "br"}
@@ -163,6 +163,7 @@ def test_a_linear_axis_reads_in_metres_newtons_and_kilograms(answer):
     assert "error, mm" in texts
     assert Rig.of(diagnosis).axis("theta") == (1e3, "position, mm")
     assert Rig.of(diagnosis).axis("u") == (1.0, "input, N")
+    assert Rig.of(diagnosis).axis("theta", 0.0032) == (1e3, "position within one period of 3.2 mm, mm")
 
 
 def test_a_turning_axis_reads_in_degrees(answer):
@@ -171,6 +172,13 @@ def test_a_turning_axis_reads_in_degrees(answer):
     assert "residual torque, N·m" in svg_texts(figures["maps"])
     assert "before: 0.164 deg" in svg_texts(figures["gap"])
     assert Rig.of(replace(answer("named"), model=None)) == Rig(False, "torque", "position")
+
+
+def test_the_axis_of_what_repeats_says_how_long_a_period_is():
+    assert Rig().axis("theta x u", 2 * math.pi / 7)[1] == "position within 1/7 of a turn, deg"
+    assert Rig().axis("theta", 2 * math.pi)[1] == "position within a turn, deg"
+    assert Rig().axis("tone", 0.3891)[1] == "time within one period of 0.389 s, s"
+    assert Rig().axis("tone")[1] == "time, s"
 
 
 def test_the_units_follow_the_input(answer, fabricated):
@@ -266,10 +274,27 @@ def test_a_record_shorter_than_the_window_is_shown_whole(answer):
         (5.0, 5.0, 5.0, "5"),
         (5.0, float("-inf"), 6.0, "5"),
         (0.0, -0.02, 0.02, "0.000 ± 0.020"),
+        (5095.1, 4795.0, 5395.2, "5095 ± 300"),
+        (706437.0348, 706437.0348 - 5e-9, 706437.0348 + 5e-9, "(7.06437 ± 0.00001)·10<sup>5</sup>"),
     ],
 )
 def test_an_interval_has_two_figures(value, low, high, expected):
     assert interval(value, low, high) == expected
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expected"),
+    [
+        (Estimate(0.249953, "N.m", (0.249906, 0.25)), "0.249953 N.m (0.249906 to 0.250000)"),
+        (Estimate(7.0000012, "1", (6.99998, 7.00002)), "7.00000 (6.99998 to 7.00002)"),
+        (Estimate(7.0, "1", (7.0 - 1e-9, 7.0 + 1e-9)), "7.00000 (6.99999 to 7.00001)"),
+        (Estimate(0.04228, "N.m", (0.03224, 0.05545)), "0.042 N.m (0.032 to 0.055)"),
+        (Estimate(123456.0, "1", (123356.0, 123556.0)), "1.2346e5 (1.2336e5 to 1.2356e5)"),
+        (Estimate(0.3, "1", None), "0.3 (uncertain)"),
+    ],
+)
+def test_a_sentence_gives_the_digits_that_the_interval_calls_for(estimate, expected):
+    assert value(estimate) == expected
 
 
 def test_views_are_named_in_words():
