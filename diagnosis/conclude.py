@@ -44,6 +44,7 @@ def conclude(
         after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final), bench.odd(final.fit),
         bench.disturbance(final.fit),
     )  # fmt: skip
+    gap = known_floor(gap, left.flag)
     undecided = () if named else _open(last)
     mute = () if named or undecided else mute_parameters(plain)
     verdict = "named" if named else unnamed(last, bench.narrow, left, mute)
@@ -204,6 +205,16 @@ def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer
         floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
     alone = float(np.mean(floor)) / bench.segments.bins
     return answer.Gap(before, after, min(alone, after), model.output_unit)
+
+
+def known_floor(gap: answer.Gap, flag: bool) -> answer.Gap:
+    """Return a gap without the noise floor where that is not known.
+
+    What remains unexplained (`flag`) is taken for noise, and then the noise that would do is no floor; nor is it where the
+    error that was reached after is above the one before.
+    """
+    unknown = gap.after > gap.before or (flag and gap.noise_floor is not None and gap.noise_floor >= gap.after)
+    return replace(gap, noise_floor=None) if unknown else gap
 
 
 def fell_between(bench: Bench, base: Stage, final: Stage) -> float:

@@ -157,7 +157,8 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     if math.isfinite(floor):
         ax.axvspan(0, floor, color=INK, alpha=0.13, linewidth=0, zorder=3)
         ax.axvline(floor, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
-        ax.text(floor, -0.52, f" noise floor {floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
+        most = "at most " if diagnosis.remains.flag else ""  # what is unexplained looks like noise
+        ax.text(floor, -0.52, f" noise floor {most}{floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
     ax.set_xlim(0, right)
     ax.set_ylim(len(rows) - 0.55, -0.95)
     ax.set_yticks([])
@@ -305,7 +306,6 @@ def _candidates(diagnosis: Diagnosis) -> Any:
     rounds = [r for r in diagnosis.rounds if r.candidates]
     if not rounds:
         return None
-    tied = {name for tie in diagnosis.ties for name in tie} if diagnosis.verdict == "tie" else set()
     columns = min(PER_ROW, len(rounds))
     rows = -(-len(rounds) // columns)
     bars = max(min(BARS, len(r.candidates)) for r in rounds)
@@ -314,11 +314,17 @@ def _candidates(diagnosis: Diagnosis) -> Any:
     figure.subplots_adjust(wspace=0.06, hspace=0.5)
     _narrow_left(figure)
     for number, (ax, each) in enumerate(zip(axes, rounds, strict=False), start=1):
-        last = number == len(rounds)
-        _bars(ax, each, number, tied if last else set())
+        _bars(ax, each, number, _tied(diagnosis, each, number == len(rounds)))
     for ax in axes[len(rounds) :]:
         ax.set_visible(False)
     return figure
+
+
+def _tied(diagnosis: Diagnosis, each: Round, last: bool) -> set[str]:
+    """Return what tied in a round: with what was added or, in the last one, without anything added."""
+    added = {effect.name for effect in diagnosis.effects}
+    open_ = last and each.added is None
+    return {name for tie in diagnosis.ties for name in tie if each.added in tie or (open_ and not added & set(tie))}
 
 
 def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bristle.diagnosis.figures import Rig, captions, improved
 from bristle.diagnosis.modelfile import si_unit
+from bristle.diagnosis.remains import CERTAIN
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
 from bristle.diagnosis.story import STRAYS, rounded, view_name
 from bristle.model.html import badge, figure, number, page, table, unit
@@ -162,7 +163,7 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
         rest = ": what is left is no more than disturbance and sensor alone give" if closed else ""
         facts.append(f"The gap shrank by {most}<b>{100 * gap.shrink:.1f} %</b>{rest}.")
     if gap.ratio is None:
-        facts.append("The noise floor could not be estimated, so the share of the gap that closed is not known.")
+        facts.append("How much of the error disturbance and sensor alone give is not known.")
     elif improved(diagnosis) or gap.ratio > 1:
         begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
         facts.append(f"{begin} {least}{number(gap.ratio, 3)} times the noise floor.")
@@ -173,17 +174,20 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
 
 def _remains(diagnosis: Diagnosis) -> str:
     left = diagnosis.remains
-    share = f"{100 * left.share:.0f} %"
     if not (left.flag or diagnosis.where):
         return ""  # nothing was looked for
     if left.flag:
-        seen = f"{share} of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
+        seen = f"{100 * left.share:.0f} % of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
         taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's torque"
         said = taken if left.view is None else seen
         return f'<p class="alarm">Something remains: {said}, and no effect of the catalogue explains it.</p>'
-    if left.view is None:
-        return "<p>Nothing that stands out: no view predicts more of the residual than chance gives.</p>"
-    return f"<p>Nothing that stands out: at most {share} of the residual can be predicted from any view.</p>"
+    sure = [v for v in diagnosis.where if v.p_after <= CERTAIN]
+    said = "no view predicts more of the residual than chance gives"
+    if sure:
+        most = max(sure, key=lambda v: v.share_after)
+        said = f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the residual that is left, "
+        said += "every other view less or no more than chance gives"
+    return f"<p>Nothing that stands out: {said}.</p>"
 
 
 def _views(diagnosis: Diagnosis) -> str:

@@ -104,7 +104,10 @@ class Remains:
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean squared output error over held-out segments [`unit`]; `output_unit` is that of the output. See the contract."""
+    """Mean squared output error over held-out segments [`unit`]; `output_unit` is that of the output. See the contract.
+
+    No noise floor: how much disturbance and sensor alone give is not known.
+    """
 
     before: float
     after: float

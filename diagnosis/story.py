@@ -164,8 +164,10 @@ def statement(
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
     most = "at most " if remains.flag else ""  # what is unexplained looks like noise
     alone = f"disturbance and sensor alone give {most}{rms[2]:.3g} {gap.output_unit}"
-    if rms[2] >= rms[1]:
-        alone = "disturbance and sensor alone give " + ("less, but how much less is not known" if remains.flag else "as much")
+    if gap.noise_floor is None:
+        alone = "disturbance and sensor alone give less, but how much less is not known"
+    elif rms[2] >= rms[1]:
+        alone = "disturbance and sensor alone give as much"
     if effects:
         fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {gap.output_unit}; {alone}"
         if rms[1] >= rms[0]:

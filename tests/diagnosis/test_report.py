@@ -15,6 +15,7 @@ from bristle.diagnosis.figures import Rig, draw, telling
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
 from bristle.diagnosis.story import statement, value, view_name
+from bristle.model.drawing import RED
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 VOID = {"meta", "img", "br"}
@@ -101,6 +102,31 @@ def test_a_gap_that_did_not_shrink_is_not_said_to_fall(answer):
     assert any("does not fall (0.00105 rad before, 0.00114 rad after)" in line for line in said)
     said = statement("named", named.effects, (), named.gap, named.remains, {})
     assert any("falls from 0.00286 to 0.000332" in line for line in said)
+
+
+def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
+    none = answer("none")
+    unknown = replace(none, gap=replace(none.gap, noise_floor=None))
+    [line] = statement("none", (), (), unknown.gap, unknown.remains, {})[1:2]
+    assert line.endswith("disturbance and sensor alone give less, but how much less is not known.")
+    assert not any("floor" in text for text in svg_texts(draw(unknown)["gap"]))
+    assert "noise floor at most 0.0181 deg" in [text.strip() for text in svg_texts(draw(none)["gap"])]
+    assert "floor" not in text_of(page_of(unknown))
+
+
+def test_what_remains_is_what_the_table_above_it_says(answer):
+    named = answer("named")
+    noisy = replace(named.where[1], view="du", share_after=0.08, p_after=0.001)
+    text = text_of(page_of(replace(named, where=(named.where[0], noisy), remains=Remains(False, "history", 0.04))))
+    assert "Nothing that stands out: rate of the input predicts 8 % of the residual that is left" in text
+    assert "no view predicts more of the residual than chance gives" in text_of(page_of(named))
+
+
+def test_what_ties_is_red_whatever_the_verdict(answer):
+    named = answer("named")
+    assert RED.lower() not in draw(named)["candidates"].lower()
+    assert RED.lower() in draw(replace(named, ties=(("cogging", "gravity"),)))["candidates"].lower()
+    assert RED.lower() in draw(answer("tie"))["candidates"].lower()
 
 
 def test_a_proposal_is_no_fit(answer):
