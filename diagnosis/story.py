@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -117,6 +117,20 @@ def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str,
     return (mid, below, above, spread), power
 
 
+def told(e: Named) -> dict[str, Estimate]:
+    """Return the parameters of an effect that a sentence gives: without those of its form or of a second term, if the effect
+    may be without them."""
+    known = find_effect(e.name)
+    defaults = {p.name.split(".")[1]: p.default for p in known.parameters}
+
+    def idle(names: Iterable[str]) -> bool:
+        found = [(defaults[name], e.parameters[name].ci95) for name in names if name in e.parameters]
+        return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in found)
+
+    left_out = {*(known.bending if idle(known.bending) else ()), *(known.second if idle(known.second[:1]) else ())}
+    return {name: estimate for name, estimate in e.parameters.items() if name not in left_out}
+
+
 def plain_texts(e: Estimate) -> tuple[str, str, str]:
     """Return an estimate and the ends of its interval as plain texts; the ends are empty where there is none."""
     found = rounded(e.value, *e.ci95) if e.ci95 else None
@@ -146,7 +160,7 @@ def statement(
     """Return the answer, one sentence or two a line; `mute` are the model's parameters if the records tell none of them."""
     lines = []
     for e in effects:
-        found = ", ".join(f"{name} {value(estimate)}" for name, estimate in e.parameters.items())
+        found = ", ".join(f"{name} {value(estimate)}" for name, estimate in told(e).items())
         lines.append(f"Missing: {words(e.name)} ({e.name}); {found}; by chance {e.p:.2g} or less.")
     for tie in ties:
         whole = " and ".join(tie) if len(tie) == 2 else ", ".join(tie)

@@ -14,7 +14,7 @@ import pytest
 from bristle.diagnosis.figures import Rig, draw, telling
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
-from bristle.diagnosis.story import statement, value, view_name
+from bristle.diagnosis.story import statement, told, value, view_name
 from bristle.model.drawing import RED
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
@@ -321,6 +321,18 @@ def test_an_interval_has_two_figures(value, low, high, expected):
 )
 def test_a_sentence_gives_the_digits_that_the_interval_calls_for(estimate, expected):
     assert value(estimate) == expected
+
+
+def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
+    [cogging] = answer("named").effects
+    assert list(told(cogging)) == ["amplitude", "phase", "periods"]
+    there = {**cogging.parameters, "amplitude2": Estimate(0.01, "N.m", (0.009, 0.011))}
+    assert list(told(replace(cogging, parameters=there))) == list(cogging.parameters)
+    sine, cosine = Estimate(0.01, "1", (-0.01, 0.03)), Estimate(0.1, "1", (0.08, 0.12))
+    unbent = Named("gravity", "", {"amplitude": cosine, "sine2": sine, "cosine2": sine}, 9.0, 0.1)
+    assert list(told(unbent)) == ["amplitude"]
+    bent = replace(unbent, parameters={**unbent.parameters, "cosine2": cosine})
+    assert list(told(bent)) == ["amplitude", "sine2", "cosine2"]
 
 
 def test_views_are_named_in_words():
