@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -59,12 +60,13 @@ def conclude(
     )  # fmt: skip
     own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
     choices = {c.name: estimates(model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit}
+    said = partial(story.on_axis, linear=bench.linear, input_kind=model.input_kind)
     return answer.Diagnosis(
         verdict=verdict,
-        statement=story.statement(verdict, effects, ties, gap, left, intervals, mute),
+        statement=tuple(map(said, story.statement(verdict, effects, ties, gap, left, intervals, mute))),
         effects=effects,
         ties=tuple(ties),
-        experiment=story.experiment(ties, left, bench.narrow, bool(named)),
+        experiment=said(story.experiment(ties, left, bench.narrow, bool(named))),
         where=where,
         remains=left,
         gap=gap,
@@ -73,7 +75,7 @@ def conclude(
         base=plain,
         parameters=own,
         rounds=tuple(_round(v) for v in rounds),
-        undetected=story.undetected(last.candidates, last.null, last.base, named, model),
+        undetected={k: said(v) for k, v in story.undetected(last.candidates, last.null, last.base, named, model).items()},
         traces=_traces(bench, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,

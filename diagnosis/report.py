@@ -13,7 +13,7 @@ from bristle.diagnosis.figures import Rig, captions, improved
 from bristle.diagnosis.modelfile import si_unit
 from bristle.diagnosis.remains import CERTAIN
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
-from bristle.diagnosis.story import STRAYS, rounded, view_name
+from bristle.diagnosis.story import STRAYS, on_axis, rounded, view_name
 from bristle.model.html import badge, figure, number, page, table, unit
 from bristle.plant.effects import effects as all_effects
 
@@ -73,6 +73,9 @@ class _Writer:
     def unit(self, text: str) -> str:
         return unit(si_unit(text, self.rig.linear, self.rig.input_kind)) or "–"
 
+    def said(self, text: str) -> str:
+        return escape(on_axis(text, self.rig.linear, self.rig.input_kind))
+
     def estimate(self, e: Estimate | None) -> str:
         """Write value, interval and, where it ended there, the bound."""
         if e is None:
@@ -86,7 +89,7 @@ class _Writer:
         for effect in effects:
             meaning = known[effect.name].description if effect.name in known else effect.group
             facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
-            first = f'<b>{escape(effect.name)}</b><div class="sub">{escape(meaning)}</div><div class="sub">{facts}</div>'
+            first = f'<b>{escape(effect.name)}</b><div class="sub">{self.said(meaning)}</div><div class="sub">{facts}</div>'
             rows += self._parameters(effect.name, first, effect.parameters)
         return table(("effect", "parameter", "value, 95 % interval", "unit"), rows)
 
@@ -96,7 +99,7 @@ class _Writer:
         rows: list[tuple[str, ...]] = []
         for k, (key, e) in enumerate(parameters.items()):
             meaning = meanings.get(f"{name}.{key}", "")
-            label = f'{escape(key)}<div class="sub">{escape(meaning)}</div>'
+            label = f'{escape(key)}<div class="sub">{self.said(meaning)}</div>'
             rows.append((first if k == 0 else "", label, self.estimate(e), self.unit(e.unit)))
         return rows or [(first, "", "", "")]
 
@@ -178,7 +181,8 @@ def _remains(diagnosis: Diagnosis) -> str:
         return ""  # nothing was looked for
     if left.flag:
         seen = f"{100 * left.share:.0f} % of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
-        taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's torque"
+        force = "force" if Rig.of(diagnosis).linear else "torque"
+        taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's {force}"
         said = taken if left.view is None else seen
         return f'<p class="alarm">Something remains: {said}, and no effect of the catalogue explains it.</p>'
     sure = [v for v in diagnosis.where if v.p_after <= CERTAIN]

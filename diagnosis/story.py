@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -48,6 +49,15 @@ def words(name: str) -> str:
     return find_effect(name).description
 
 
+def on_axis(text: str, linear: bool, input_kind: str) -> str:
+    """Return a text about a servo as it is for a linear axis (force for torque) and for an input that is no voltage.
+
+    Full names of parameters, such as bias.torque, stay as they are.
+    """
+    text = re.sub(r"\bvoltage\b", input_kind, text)
+    return re.sub(r"(?<!\.)\btorque", "force", text) if linear else text
+
+
 def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, named: bool = False) -> str:
     """Return what to measure next, or an empty text; `narrow` says why the motion is too uniform, if it is."""
     lines = [f"Nothing can be named for certain on records of such a motion: {narrow}."] if narrow else []
@@ -84,16 +94,16 @@ def undetected(candidates: Sequence[Candidate], null: Null, base: float, named: 
 
 def _limit(c: Candidate, null: Null, model: Model) -> str:
     effect = find_effect(c.name)
-    needs = f"needs {effect.excitation}"
+    shows = f"what shows it: {effect.excitation}"
     strength = effect.parameters[0]
     proportional = strength.minimum <= 0 <= strength.maximum and not effect.local  # nothing is left of it at zero
     if c.fit is None or not proportional or strength.name not in [f.name for f in c.fit.free]:
-        return f"no trace; {needs}"
+        return f"tried, and no trace of it; {shows}"
     place = [f.name for f in c.fit.free].index(strength.name)
     spread = float(np.linalg.pinv(c.fit.information, rcond=1e-12, hermitian=True)[place, place])
     limit = math.sqrt(2 * null.level(c.name) * max(spread, 0.0))
     if not math.isfinite(limit) or limit == 0 or limit > min(strength.maximum, 1e5):
-        return f"these records cannot show it: it {needs}"
+        return f"these records cannot show it; {shows}"
     unit = model.unit(strength.name)
     return f"{strength.description}: more than {limit:.2g}{'' if unit == '1' else ' ' + unit} would have been seen"
 

@@ -7,14 +7,17 @@ import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bristle.diagnosis.candidates import Candidate
 from bristle.diagnosis.figures import Rig, draw, telling
+from bristle.diagnosis.null import Null
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
-from bristle.diagnosis.story import statement, told, value, view_name
+from bristle.diagnosis.story import on_axis, statement, told, undetected, value, view_name
 from bristle.model.drawing import RED
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
@@ -333,6 +336,27 @@ def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
     assert list(told(unbent)) == ["amplitude"]
     bent = replace(unbent, parameters={**unbent.parameters, "cosine2": cosine})
     assert list(told(bent)) == ["amplitude", "sine2", "cosine2"]
+
+
+def test_words_are_those_of_the_axis_and_of_its_input():
+    line = "Missing: constant torque (bias); torque 0.06 N; bias.torque at the end of what may be"
+    assert on_axis(line, False, "torque") == line
+    assert on_axis(line, True, "force") == "Missing: constant force (bias); force 0.06 N; bias.torque at the end of what may be"
+    assert on_axis("voltage over speed", False, "torque") == "torque over speed"
+    assert on_axis("voltage over speed", False, "voltage") == "voltage over speed"
+
+
+def test_what_was_not_found_is_not_said_to_need_what_the_records_have():
+    tried = Candidate("backlash", SimpleNamespace(total=0.0, free=()))
+    found = undetected([tried], Null(np.zeros(1), {}), 0.0, (), model=None)
+    assert found == {"backlash": "tried, and no trace of it; what shows it: reversals"}
+
+
+def test_a_linear_axis_has_no_torque(answer):
+    bias = Named("bias", "bias", {"torque": Estimate(0.06, "N.m", (0.05, 0.07))}, 9.0, 0.001)
+    text = text_of(page_of(replace(answer("not_identifiable"), effects=(bias,), verdict="named")))
+    assert "constant force, positive forward" in text
+    assert "constant torque" not in text
 
 
 def test_views_are_named_in_words():
