@@ -150,10 +150,11 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
         return None
     figure = new_figure(11.0, 0.95 + 0.42 * len(rows))
     ax = figure.subplots()
-    right = 1.22 * max([*values, floor if math.isfinite(floor) else 0.0])
-    for row, ((name, _, colour), value) in enumerate(zip(rows, values, strict=True)):
+    right = 1.3 * max([*values, floor if math.isfinite(floor) else 0.0])
+    for row, ((name, square, colour), value) in enumerate(zip(rows, values, strict=True)):
         ax.barh(row, value, color=colour, height=0.62)
-        ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}", va="center", color=INK)
+        both = f" ({math.sqrt(square):.3g} {rig.output})" if unit != rig.output else ""  # as the sentences have it
+        ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}{both}", va="center", color=INK)
     if math.isfinite(floor):
         ax.axvspan(0, floor, color=INK, alpha=0.13, linewidth=0, zorder=3)
         ax.axvline(floor, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
@@ -170,7 +171,7 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
 
 
 def _narrow_left(figure: Any) -> None:
-    figure.subplots_adjust(left=0.15 / figure.get_size_inches()[0])
+    figure.subplots_adjust(left=0.25 / figure.get_size_inches()[0])
 
 
 # -- before and after ----------------------------------------------------------------------------------------------------

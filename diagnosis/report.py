@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bristle.diagnosis.conclude import SEEN
 from bristle.diagnosis.figures import Rig, captions, improved
 from bristle.diagnosis.modelfile import si_unit
 from bristle.diagnosis.remains import CERTAIN
@@ -196,7 +197,7 @@ def _remains(diagnosis: Diagnosis) -> str:
 
 def _views(diagnosis: Diagnosis) -> str:
     rows = []
-    for v in diagnosis.where:
+    for v in sorted(diagnosis.where, key=lambda v: (v.p > SEEN, -v.share)):
         name = escape(view_name(v.view, v.label))
         rows.append((name, f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2)))
     kept = 5 if improved(diagnosis) else 3

@@ -39,6 +39,8 @@ AXES = {  # first part of a view -> name and kind of quantity
 
 def view_name(view: str, label: str = "") -> str:
     """Return a view in words, with what was found in it: "theta", "7 in a turn" is position (7 in a turn)."""
+    if view == STRETCHES and label:
+        return f"far off: {label}"
     first, _, second = view.partition(" x ")
     names = [AXES.get(part, (part, ""))[0] for part in (first, second) if part]
     return " × ".join(names) + (f" ({label})" if label else "")

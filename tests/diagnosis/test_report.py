@@ -18,6 +18,7 @@ from bristle.diagnosis.null import Null
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
 from bristle.diagnosis.story import on_axis, statement, told, undetected, value, view_name
+from bristle.diagnosis.views import STRETCHES
 from bristle.model.drawing import RED
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
@@ -125,6 +126,19 @@ def test_what_remains_is_what_the_table_above_it_says(answer):
     assert "no view predicts more of the residual than chance gives" in text_of(page_of(named))
 
 
+def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
+    first, second = answer("named").where
+    burst = replace(first, view=STRETCHES, label="3 of 75 stretches, the worst at 0.5 s", share=0.99)
+    text = text_of(page_of(replace(answer("named"), where=(replace(first, share=1.0, p=0.9), second, burst))))
+    assert text.index("far off: 3 of 75 stretches") < text.index("velocity 5 %") < text.index("position 100 %")
+
+
+def test_a_record_may_have_any_name(answer, recwarn):
+    named = answer("named")
+    draw(replace(named, traces=(replace(named.traces[0], name="\u2603 \u540d.csv"),)))
+    assert not recwarn.list
+
+
 def test_what_ties_is_red_whatever_the_verdict(answer):
     named = answer("named")
     assert RED.lower() not in draw(named)["candidates"].lower()
@@ -199,7 +213,7 @@ def test_a_turning_axis_reads_in_degrees(answer):
     figures = draw(answer("named"))
     assert "position, deg" in svg_texts(figures["overlay"])
     assert "residual torque, N·m" in svg_texts(figures["maps"])
-    assert "before: 0.164 deg" in svg_texts(figures["gap"])
+    assert "before: 0.164 deg (0.00286 rad)" in svg_texts(figures["gap"])
     assert Rig.of(replace(answer("named"), model=None)) == Rig(False, "torque", "position")
 
 
@@ -220,7 +234,7 @@ def test_the_units_follow_the_input(answer, fabricated):
 
 
 def test_only_what_changed_has_a_before_and_an_after(answer):
-    assert "after: 0.019 deg" in svg_texts(draw(answer("named"))["gap"])
+    assert "after: 0.019 deg (0.000332 rad)" in svg_texts(draw(answer("named"))["gap"])
     for case in ("none", "not_identifiable"):
         assert not any(text.startswith(("after", "before")) for svg in draw(answer(case)).values() for text in svg_texts(svg))
 
