@@ -150,7 +150,7 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
         return None
     figure = new_figure(11.0, 0.95 + 0.42 * len(rows))
     ax = figure.subplots()
-    right = 1.3 * max([*values, floor if math.isfinite(floor) else 0.0])
+    right = 1.4 * max([*values, floor if math.isfinite(floor) else 0.0])
     for row, ((name, square, colour), value) in enumerate(zip(rows, values, strict=True)):
         ax.barh(row, value, color=colour, height=0.62)
         both = f" ({math.sqrt(square):.3g} {rig.output})" if unit != rig.output else ""  # as the sentences have it
@@ -380,8 +380,8 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
         ),
         "maps": (
             "Where the difference lives",
-            f"Residual averaged in bins of the view{colours}; solid: forward, dashed: backward, where there are two lines. "
-            "What repeats is laid over itself, period upon period. "
+            f"Residual averaged in bins of the view or, where it repeats, fitted over one period{colours}; solid: forward, "
+            "dashed: backward, where there are two lines. "
             "The share is how much of the residual the view predicts on data it has not seen.",
         ),
         "candidates": (
