@@ -180,7 +180,7 @@ def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.
         drawn = {}
         if maps < MAPS:
             drawn = wave_map(share.view, bench.motion, *lenses, share.period(bench.turn))
-            drawn = drawn or residual_map(share.view, bench.motion, *torques)
+            drawn = drawn or residual_map(share.view, bench.motion, torques[0], torques[1])
         maps += bool(drawn)
         views.append(
             answer.View(share.view, share.share, max(share.p, LEAST_P), late.share, max(late.p, LEAST_P), share.label, **drawn)
