@@ -287,6 +287,8 @@ def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell:
 
 def _summary(found: Diagnosis, chosen: str | None = None) -> None:
     """Print the answer: the sentences, and the effects with their parameters; `chosen` is in the augmented model."""
+    from bristle.diagnosis.story import plain_texts
+
     text = "\n".join(found.statement)
     for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
         print(line)
@@ -298,8 +300,9 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]
     for effect in found.effects:
         for name, e in effect.parameters.items():
-            interval = f"{e.ci95[0]:.4g} ... {e.ci95[1]:.4g}" if e.ci95 else "-"
-            rows.append((effect.name, name, f"{e.value:.4g}" + (" (at its bound)" if e.at_bound else ""), interval, e.unit))
+            value, low, high = plain_texts(e)
+            interval = f"{low} ... {high}" if low else "-"
+            rows.append((effect.name, name, value + (" (at its bound)" if e.at_bound else ""), interval, e.unit))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     for row in rows if len(rows) > 1 else ():
         print("  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())

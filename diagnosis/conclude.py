@@ -6,12 +6,13 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
-from bristle.diagnosis.bench import Bench, Stage
+from bristle.diagnosis.bench import Bench, Stage, lens_of
 from bristle.diagnosis.candidates import Candidate, scanned
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.fit import Fit, evaluate, resume
@@ -22,7 +23,7 @@ from bristle.diagnosis.record import Record
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import group, views_of
 from bristle.diagnosis.size import errors, fall, mean_square, squares
-from bristle.diagnosis.views import LEAST_P, Share, residual_map
+from bristle.diagnosis.views import LEAST_P, Share, residual_map, wave_map
 
 MAPS = 6  # views whose residual is drawn
 TOLD = 0.3  # half an interval relative to the value, which of one parameter at least must be less (of 556 records in which
@@ -44,6 +45,7 @@ def conclude(
         after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final), bench.odd(final.fit),
         bench.disturbance(final.fit),
     )  # fmt: skip
+    gap = known_floor(gap, left.flag)
     undecided = () if named else _open(last)
     mute = () if named or undecided else mute_parameters(plain)
     verdict = "named" if named else unnamed(last, bench.narrow, left, mute)
@@ -58,12 +60,13 @@ def conclude(
     )  # fmt: skip
     own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
     choices = {c.name: estimates(model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit}
+    said = partial(story.on_axis, linear=bench.linear, input_kind=model.input_kind)
     return answer.Diagnosis(
         verdict=verdict,
-        statement=story.statement(verdict, effects, ties, gap, left, intervals, mute),
+        statement=tuple(map(said, story.statement(verdict, effects, ties, gap, left, intervals, mute))),
         effects=effects,
         ties=tuple(ties),
-        experiment=story.experiment(ties, left, bench.narrow, bool(named)),
+        experiment=said(story.experiment(ties, left, bench.narrow, bool(named))),
         where=where,
         remains=left,
         gap=gap,
@@ -72,7 +75,7 @@ def conclude(
         base=plain,
         parameters=own,
         rounds=tuple(_round(v) for v in rounds),
-        undetected=story.undetected(last.candidates, last.null, last.base, named, model),
+        undetected={k: said(v) for k, v in story.undetected(last.candidates, last.null, last.base, named, model).items()},
         traces=_traces(bench, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,
@@ -167,13 +170,17 @@ def views_beside(bench: Bench, base: Stage, final: Stage) -> tuple[tuple[answer.
         found.append([_along_axis(bench, share) for share in seen])
         torques.append(torque)
     before, after = found
+    lenses = lens_of(base, bench), lens_of(final, bench)  # each as its own noise sees it
     before = sorted(before, key=lambda share: share.p > SEEN)  # what chance gives comes last, whatever its share
     table = {share.view: share for share in after}
     views: list[answer.View] = []
     maps = 0
     for share in before:
         late = table[share.view]
-        drawn = residual_map(share.view, bench.motion, torques[0], torques[1]) if maps < MAPS else {}
+        drawn = {}
+        if maps < MAPS:
+            drawn = wave_map(share.view, bench.motion, *lenses, share.period(bench.turn))
+            drawn = drawn or residual_map(share.view, bench.motion, torques[0], torques[1])
         maps += bool(drawn)
         views.append(
             answer.View(share.view, share.share, max(share.p, LEAST_P), late.share, max(late.p, LEAST_P), share.label, **drawn)
@@ -200,6 +207,16 @@ def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer
         floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
     alone = float(np.mean(floor)) / bench.segments.bins
     return answer.Gap(before, after, min(alone, after), model.output_unit)
+
+
+def known_floor(gap: answer.Gap, flag: bool) -> answer.Gap:
+    """Return a gap without the noise floor where that is not known.
+
+    What remains unexplained (`flag`) is taken for noise, and then the noise that would do is no floor; nor is it where the
+    error that was reached after is above the one before.
+    """
+    unknown = gap.after > gap.before or (flag and gap.noise_floor is not None and gap.noise_floor >= gap.after)
+    return replace(gap, noise_floor=None) if unknown else gap
 
 
 def fell_between(bench: Bench, base: Stage, final: Stage) -> float:

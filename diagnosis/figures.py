@@ -93,14 +93,19 @@ class Rig:
         """Unit of the input."""
         return INPUT_UNITS[self.input_kind]
 
-    def axis(self, view: str) -> tuple[float, str]:
-        """Return (factor, label) of the axis of a view."""
-        name, kind = AXES.get(view.split(" ")[0], (view, "none"))
+    def axis(self, view: str, period: float | None = None) -> tuple[float, str]:
+        """Return (factor, label) of the axis of a view, or of one period of it."""
+        first = view.split(" ")[0]
+        name, kind = AXES.get("t" if first == "tone" else first, (view, "none"))
         units = {
             "angle": self.angle, "speed": f"{self.angle}/s", "acceleration": f"{self.angle}/s2", "input": self.drive,
             "input rate": f"{self.drive}/s", "time": "s", "frequency": "Hz", "none": "1",
         }  # fmt: skip
         factor, unit = shown(units[kind])
+        if period is not None:
+            turns = 0 if self.linear or kind != "angle" else round(2 * math.pi / period)
+            part = f"1/{turns} of a turn" if turns > 1 else "a turn" if turns else f"one period of {factor * period:.3g} {unit}"
+            name = f"{name} within {part}"
         return factor, f"{name}, {unit.replace('.', '·')}" if unit else name
 
 
@@ -145,14 +150,16 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
         return None
     figure = new_figure(11.0, 0.95 + 0.42 * len(rows))
     ax = figure.subplots()
-    right = 1.22 * max([*values, floor if math.isfinite(floor) else 0.0])
-    for row, ((name, _, colour), value) in enumerate(zip(rows, values, strict=True)):
+    right = 1.4 * max([*values, floor if math.isfinite(floor) else 0.0])
+    for row, ((name, square, colour), value) in enumerate(zip(rows, values, strict=True)):
         ax.barh(row, value, color=colour, height=0.62)
-        ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}", va="center", color=INK)
+        both = f" ({math.sqrt(square):.3g} {rig.output})" if unit != rig.output else ""  # as the sentences have it
+        ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}{both}", va="center", color=INK)
     if math.isfinite(floor):
         ax.axvspan(0, floor, color=INK, alpha=0.13, linewidth=0, zorder=3)
         ax.axvline(floor, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
-        ax.text(floor, -0.52, f" noise floor {floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
+        most = "at most " if diagnosis.remains.flag else ""  # what is unexplained looks like noise
+        ax.text(floor, -0.52, f" noise floor {most}{floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
     ax.set_xlim(0, right)
     ax.set_ylim(len(rows) - 0.55, -0.95)
     ax.set_yticks([])
@@ -164,7 +171,7 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
 
 
 def _narrow_left(figure: Any) -> None:
-    figure.subplots_adjust(left=0.15 / figure.get_size_inches()[0])
+    figure.subplots_adjust(left=0.25 / figure.get_size_inches()[0])
 
 
 # -- before and after ----------------------------------------------------------------------------------------------------
@@ -275,7 +282,7 @@ def _thousands(values: Sequence[Array]) -> int:
 
 
 def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
-    factor, label = rig.axis(view.view)
+    factor, label = rig.axis(view.view, view.period)
     x = factor * view.centres
     many = np.atleast_2d(view.before).shape[0] > 1
     for row, before in enumerate(np.atleast_2d(view.before)):
@@ -300,7 +307,6 @@ def _candidates(diagnosis: Diagnosis) -> Any:
     rounds = [r for r in diagnosis.rounds if r.candidates]
     if not rounds:
         return None
-    tied = {name for tie in diagnosis.ties for name in tie} if diagnosis.verdict == "tie" else set()
     columns = min(PER_ROW, len(rounds))
     rows = -(-len(rounds) // columns)
     bars = max(min(BARS, len(r.candidates)) for r in rounds)
@@ -309,11 +315,17 @@ def _candidates(diagnosis: Diagnosis) -> Any:
     figure.subplots_adjust(wspace=0.06, hspace=0.5)
     _narrow_left(figure)
     for number, (ax, each) in enumerate(zip(axes, rounds, strict=False), start=1):
-        last = number == len(rounds)
-        _bars(ax, each, number, tied if last else set())
+        _bars(ax, each, number, _tied(diagnosis, each, number == len(rounds)))
     for ax in axes[len(rounds) :]:
         ax.set_visible(False)
     return figure
+
+
+def _tied(diagnosis: Diagnosis, each: Round, last: bool) -> set[str]:
+    """Return what tied in a round: with what was added or, in the last one, without anything added."""
+    added = {effect.name for effect in diagnosis.effects}
+    open_ = last and each.added is None
+    return {name for tie in diagnosis.ties for name in tie if each.added in tie or (open_ and not added & set(tie))}
 
 
 def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
@@ -368,7 +380,8 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
         ),
         "maps": (
             "Where the difference lives",
-            f"Residual averaged in bins of the view{colours}; solid: forward, dashed: backward, where there are two lines. "
+            f"Residual averaged in bins of the view or, where it repeats, fitted over one period{colours}; solid: forward, "
+            "dashed: backward, where there are two lines. "
             "The share is how much of the residual the view predicts on data it has not seen.",
         ),
         "candidates": (

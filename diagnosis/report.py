@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from bristle.diagnosis.conclude import SEEN
 from bristle.diagnosis.figures import Rig, captions, improved
 from bristle.diagnosis.modelfile import si_unit
+from bristle.diagnosis.remains import CERTAIN
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
-from bristle.diagnosis.story import STRAYS, view_name
+from bristle.diagnosis.story import STRAYS, on_axis, rounded, view_name
 from bristle.model.html import badge, figure, number, page, table, unit
 from bristle.plant.effects import effects as all_effects
 
@@ -50,14 +52,12 @@ def _listed(names: Sequence[str], word: str) -> str:
 
 def interval(value: float, low: float, high: float) -> str:
     """Write a value with its interval, to two figures of its half width: 0.0600 ± 0.0018, or with both ends if lopsided."""
-    half = (high - low) / 2
-    if not (all(map(math.isfinite, (value, low, high))) and half > 0):
+    found = rounded(value, low, high)
+    if found is None:
         return number(value)
-    largest = max(abs(value), half)
-    power = 0 if 1e-3 <= largest < 1e5 else math.floor(math.log10(largest))
-    decimals = max(0, 1 - math.floor(math.log10(half) - power))
-    mid, below, above, spread = (f"{x / 10.0**power:.{decimals}f}".replace("-", "−") for x in (value, low, high, half))
-    lopsided = abs(high + low - 2 * value) > 0.2 * half
+    texts, power = found
+    mid, below, above, spread = (text.replace("-", "−") for text in texts)
+    lopsided = abs(high + low - 2 * value) > 0.1 * (high - low)
     text = f'{mid} <span class="sub">[{below} … {above}]</span>' if lopsided else f"{mid} ± {spread}"
     return text if power == 0 else f"({text})·10<sup>{power}</sup>".replace("-", "−")
 
@@ -74,6 +74,9 @@ class _Writer:
     def unit(self, text: str) -> str:
         return unit(si_unit(text, self.rig.linear, self.rig.input_kind)) or "–"
 
+    def said(self, text: str) -> str:
+        return escape(on_axis(text, self.rig.linear, self.rig.input_kind))
+
     def estimate(self, e: Estimate | None) -> str:
         """Write value, interval and, where it ended there, the bound."""
         if e is None:
@@ -87,7 +90,7 @@ class _Writer:
         for effect in effects:
             meaning = known[effect.name].description if effect.name in known else effect.group
             facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
-            first = f'<b>{escape(effect.name)}</b><div class="sub">{escape(meaning)}</div><div class="sub">{facts}</div>'
+            first = f'<b>{escape(effect.name)}</b><div class="sub">{self.said(meaning)}</div><div class="sub">{facts}</div>'
             rows += self._parameters(effect.name, first, effect.parameters)
         return table(("effect", "parameter", "value, 95 % interval", "unit"), rows)
 
@@ -97,7 +100,7 @@ class _Writer:
         rows: list[tuple[str, ...]] = []
         for k, (key, e) in enumerate(parameters.items()):
             meaning = meanings.get(f"{name}.{key}", "")
-            label = f'{escape(key)}<div class="sub">{escape(meaning)}</div>'
+            label = f'{escape(key)}<div class="sub">{self.said(meaning)}</div>'
             rows.append((first if k == 0 else "", label, self.estimate(e), self.unit(e.unit)))
         return rows or [(first, "", "", "")]
 
@@ -164,7 +167,7 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
         rest = ": what is left is no more than disturbance and sensor alone give" if closed else ""
         facts.append(f"The gap shrank by {most}<b>{100 * gap.shrink:.1f} %</b>{rest}.")
     if gap.ratio is None:
-        facts.append("The noise floor could not be estimated, so the share of the gap that closed is not known.")
+        facts.append("How much of the error disturbance and sensor alone give is not known.")
     elif improved(diagnosis) or gap.ratio > 1:
         begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
         facts.append(f"{begin} {least}{number(gap.ratio, 3)} times the noise floor.")
@@ -175,22 +178,26 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
 
 def _remains(diagnosis: Diagnosis) -> str:
     left = diagnosis.remains
-    share = f"{100 * left.share:.0f} %"
     if not (left.flag or diagnosis.where):
         return ""  # nothing was looked for
     if left.flag:
-        seen = f"{share} of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
-        taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's torque"
+        seen = f"{100 * left.share:.0f} % of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
+        force = "force" if Rig.of(diagnosis).linear else "torque"
+        taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's {force}"
         said = taken if left.view is None else seen
         return f'<p class="alarm">Something remains: {said}, and no effect of the catalogue explains it.</p>'
-    if left.view is None:
-        return "<p>Nothing that stands out: no view predicts more of the residual than chance gives.</p>"
-    return f"<p>Nothing that stands out: at most {share} of the residual can be predicted from any view.</p>"
+    sure = [v for v in diagnosis.where if v.p_after <= CERTAIN]
+    said = "no view predicts more of the residual than chance gives"
+    if sure:
+        most = max(sure, key=lambda v: v.share_after)
+        said = f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the residual that is left, "
+        said += "every other view less or no more than chance gives"
+    return f"<p>Nothing that stands out: {said}.</p>"
 
 
 def _views(diagnosis: Diagnosis) -> str:
     rows = []
-    for v in diagnosis.where:
+    for v in sorted(diagnosis.where, key=lambda v: (v.p > SEEN, -v.share)):
         name = escape(view_name(v.view, v.label))
         rows.append((name, f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2)))
     kept = 5 if improved(diagnosis) else 3

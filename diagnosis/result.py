@@ -73,7 +73,8 @@ class View:
 
     `label` says what was found in it, such as "7 in a turn"; `before` and `after`, shape (lines, bins), are
     residual torques [N.m; N on a linear axis] in the bins of `centres` (bins,) [SI]; the `lines` have names, such as forward
-    and backward for views with a direction. Shares are of 1.
+    and backward for views with a direction. Shares are of 1. With a `period` [unit of the axis] its periods are laid over
+    each other.
     """
 
     view: str
@@ -86,6 +87,7 @@ class View:
     before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins)
     after: Array = field(default_factory=lambda: np.empty(0))
     lines: tuple[str, ...] = ()
+    period: float | None = None
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ class Gap:
     """Mean squared output error over held-out segments [`unit`], start states at their best.
 
     `before`: of the model refitted without effects; `after`: with what was found; `noise_floor`: what disturbance and sensor
-    alone would leave, None where that was not sought; `output_unit` is that of the output. `ratio`: before over floor;
+    alone would leave, None where that is not known; `output_unit` is that of the output. `ratio`: before over floor;
     `shrink`: share of what is above the floor that was closed.
     """
 

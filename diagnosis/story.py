@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -25,6 +26,7 @@ SEPARATE = {  # what tells effects of one class apart
 }
 STRAYS = "a few where the servo went another way by chance may be most of it"
 UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
+DIGITS = 6  # of a value, at most
 MANY, MANY_UNIFORM = 3, 2  # most classes in a tie: with more, or with more in a uniform motion, the records name nothing
 
 AXES = {  # first part of a view -> name and kind of quantity
@@ -37,6 +39,8 @@ AXES = {  # first part of a view -> name and kind of quantity
 
 def view_name(view: str, label: str = "") -> str:
     """Return a view in words, with what was found in it: "theta", "7 in a turn" is position (7 in a turn)."""
+    if view == STRETCHES and label:
+        return f"far off: {label}"
     first, _, second = view.partition(" x ")
     names = [AXES.get(part, (part, ""))[0] for part in (first, second) if part]
     return " × ".join(names) + (f" ({label})" if label else "")
@@ -45,6 +49,15 @@ def view_name(view: str, label: str = "") -> str:
 def words(name: str) -> str:
     """Return an effect's description in words."""
     return find_effect(name).description
+
+
+def on_axis(text: str, linear: bool, input_kind: str) -> str:
+    """Return a text about a servo as it is for a linear axis (force for torque) and for an input that is no voltage.
+
+    Full names of parameters, such as bias.torque, stay as they are.
+    """
+    text = re.sub(r"\bvoltage\b", input_kind, text)
+    return re.sub(r"(?<!\.)\btorque", "force", text) if linear else text
 
 
 def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, named: bool = False) -> str:
@@ -83,26 +96,68 @@ def undetected(candidates: Sequence[Candidate], null: Null, base: float, named: 
 
 def _limit(c: Candidate, null: Null, model: Model) -> str:
     effect = find_effect(c.name)
-    needs = f"needs {effect.excitation}"
+    shows = f"what shows it: {effect.excitation}"
     strength = effect.parameters[0]
     proportional = strength.minimum <= 0 <= strength.maximum and not effect.local  # nothing is left of it at zero
     if c.fit is None or not proportional or strength.name not in [f.name for f in c.fit.free]:
-        return f"no trace; {needs}"
+        return f"tried, and no trace of it; {shows}"
     place = [f.name for f in c.fit.free].index(strength.name)
     spread = float(np.linalg.pinv(c.fit.information, rcond=1e-12, hermitian=True)[place, place])
     limit = math.sqrt(2 * null.level(c.name) * max(spread, 0.0))
     if not math.isfinite(limit) or limit == 0 or limit > min(strength.maximum, 1e5):
-        return f"these records cannot show it: it {needs}"
+        return f"these records cannot show it; {shows}"
     unit = model.unit(strength.name)
     return f"{strength.description}: more than {limit:.2g}{'' if unit == '1' else ' ' + unit} would have been seen"
 
 
+def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str, str], int] | None:
+    """Return value, low, high and half the interval as texts, and the power of ten they are given in.
+
+    They end with the second digit of the half width, and at the sixth of the value at the latest: an interval that is
+    narrower is given as wide as that digit. None where there is no interval.
+    """
+    half = (high - low) / 2
+    if not (all(map(math.isfinite, (value, low, high))) and half > 0):
+        return None
+    most = math.floor(math.log10(max(abs(value), half)))
+    last = max(math.floor(math.log10(half)) - 1, most - DIGITS + 1)
+    if half < 10.0**last:
+        half = 10.0**last
+        low, high = value - half, value + half
+    power = 0 if -3 <= most < 5 else most
+    mid, below, above, spread = (f"{x / 10.0**power:.{max(0, power - last)}f}" for x in (value, low, high, half))
+    return (mid, below, above, spread), power
+
+
+def told(e: Named) -> dict[str, Estimate]:
+    """Return the parameters of an effect that a sentence gives: without those of its form or of a second term, if the effect
+    may be without them."""
+    known = find_effect(e.name)
+    defaults = {p.name.split(".")[1]: p.default for p in known.parameters}
+
+    def idle(names: Iterable[str]) -> bool:
+        found = [(defaults[name], e.parameters[name].ci95) for name in names if name in e.parameters]
+        return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in found)
+
+    left_out = {*(known.bending if idle(known.bending) else ()), *(known.second if idle(known.second[:1]) else ())}
+    return {name: estimate for name, estimate in e.parameters.items() if name not in left_out}
+
+
+def plain_texts(e: Estimate) -> tuple[str, str, str]:
+    """Return an estimate and the ends of its interval as plain texts; the ends are empty where there is none."""
+    found = rounded(e.value, *e.ci95) if e.ci95 else None
+    if found is None:
+        return f"{e.value:.4g}", "", ""
+    (mid, low, high, _), power = found
+    times = f"e{power}" if power else ""
+    return mid + times, low + times, high + times
+
+
 def value(e: Estimate) -> str:
     """Return an estimate with its interval."""
+    mid, low, high = plain_texts(e)
     unit = "" if e.unit == "1" else f" {e.unit}"
-    if e.ci95 is None or not all(math.isfinite(x) for x in e.ci95):
-        return f"{e.value:.4g}{unit} (uncertain)"
-    return f"{e.value:.4g}{unit} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
+    return f"{mid}{unit} ({low} to {high})" if low else f"{mid}{unit} (uncertain)"
 
 
 def statement(
@@ -117,7 +172,7 @@ def statement(
     """Return the answer, one sentence or two a line; `mute` are the model's parameters if the records tell none of them."""
     lines = []
     for e in effects:
-        found = ", ".join(f"{name} {value(estimate)}" for name, estimate in e.parameters.items())
+        found = ", ".join(f"{name} {value(estimate)}" for name, estimate in told(e).items())
         lines.append(f"Missing: {words(e.name)} ({e.name}); {found}; by chance {e.p:.2g} or less.")
     for tie in ties:
         whole = " and ".join(tie) if len(tie) == 2 else ", ".join(tie)
@@ -135,8 +190,10 @@ def statement(
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
     most = "at most " if remains.flag else ""  # what is unexplained looks like noise
     alone = f"disturbance and sensor alone give {most}{rms[2]:.3g} {gap.output_unit}"
-    if rms[2] >= rms[1]:
-        alone = "disturbance and sensor alone give " + ("less, but how much less is not known" if remains.flag else "as much")
+    if gap.noise_floor is None:
+        alone = "disturbance and sensor alone give less, but how much less is not known"
+    elif rms[2] >= rms[1]:
+        alone = "disturbance and sensor alone give as much"
     if effects:
         fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {gap.output_unit}; {alone}"
         if rms[1] >= rms[0]:

@@ -32,6 +32,7 @@ ONCE = ("gravity", "eccentric_encoder")  # effects that repeat with each turn of
 FAR = 5.0  # times the usual squared error, whitened
 STRETCHES = "some stretches"
 SAME, HARMONICS = 0.03, (2, 3, 4)  # periods that count as equal; multiples that are the form of a wave
+PHASES, SELDOM = 20, 0.1  # of one period that is drawn; share of the usual number of samples below which none is
 STOPS = 5  # widths of elastic elements that make up a hysteresis
 
 
@@ -39,7 +40,7 @@ STOPS = 5  # widths of elastic elements that make up a hysteresis
 class Share:
     """What a view predicts: share of the squared error that falls, its p over all views and alone, and a label.
 
-    `periods`: of the wave along the position that was found in it [1/turn].
+    `periods`: of the wave along the position that was found in it [1/turn]; `frequency`: of one in time [Hz].
     """
 
     view: str
@@ -48,6 +49,13 @@ class Share:
     label: str = ""
     alone: float = 1.0
     periods: float | None = None
+    frequency: float | None = None
+
+    def period(self, turn: float) -> float | None:
+        """Return the length of the wave that was found in it, in the unit of `turn` or in seconds; None without a wave."""
+        if self.frequency is not None:
+            return 1 / self.frequency
+        return None if self.periods is None else turn / self.periods
 
 
 def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:
@@ -139,13 +147,15 @@ def spectrum(time: Array, rough: Array) -> tuple[Array, Callable[[Array], Array]
     return np.asarray(frequency[inside]), amplitudes
 
 
-def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str, float | None]]:
-    """Return waves whose frequency is chosen by the residual: in time and along the position, with a label and periods."""
+def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, dict[str, Any]]]:
+    """Return waves whose frequency is chosen by the residual: in time and along the position, and what a `Share` says of them."""
     middle = _middle(lens, rough)
     r, theta = rough.ravel(), m.theta[middle]
     frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), rough)
     tone = float(frequency[int(np.argmax(amplitudes(np.ones(len(rough)))))])
-    found: dict[str, tuple[Array, str, float | None]] = {"tone": (_waves(2 * np.pi * tone * m.time, 1), f"{tone:.3g} Hz", None)}
+    found: dict[str, tuple[Array, dict[str, Any]]] = {
+        "tone": (_waves(2 * np.pi * tone * m.time, 1), {"label": f"{tone:.3g} Hz", "frequency": tone})
+    }
     turns = np.arange(1.0, PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)
@@ -155,7 +165,7 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, str
         power = np.sum([np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors], axis=0)
         periods = float(turns[int(np.argmax(power))])
         waves = [f[:, None] * _waves(periods * m.theta, 1) for f in factors]
-        found[view] = (np.column_stack(waves), f"{periods:.3g} in a turn", periods)
+        found[view] = np.column_stack(waves), {"label": f"{periods:.3g} in a turn", "periods": periods}
     return found
 
 
@@ -178,9 +188,9 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     rng = np.random.default_rng(2)
     signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(FLIPS, len(live)))])
     told, tables = {}, dict(made if made is not None else bases(m, h, step))
-    for view, (waves, label, periods) in _searched(lens, m, rough).items():
+    for view, (waves, facts) in _searched(lens, m, rough).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
-        told[view] = label, periods
+        told[view] = facts
     found = {view: _predicted(lens, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
     ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
@@ -189,8 +199,9 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     whole = float(np.square(lens.plain(lens.rest[live][:, :, None], live)).mean())
     result = []
     for view, (_, power) in found.items():
-        label, periods = told.get(view, ("", None))
-        result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], label, ps[view][1], periods))
+        result.append(
+            Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], alone=ps[view][1], **told.get(view, {}))
+        )
     return [*sorted(result, key=lambda each: -each.share), _outbreaks(lens, m, live)]
 
 
@@ -254,22 +265,53 @@ def _predicted(lens: Lens, basis: Array, live: NDArray[np.int_], signs: Array) -
 
 def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, Any]:
     """Return the residual torques (samples,) averaged in bins of a view: fields of `result.View`, none where it has no axis."""
-    along, _, side = view.partition(" x ")
-    x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "tone": m.time, "theta": m.theta}.get(along)
-    if x is None:  # travel, rates and single stretches have no axis of their own here
+    found = _axis(view, m)
+    if found is None:
         return {}
-    way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)
-    groups = [m.moving] if way is None else [m.moving & (way > 0), m.moving & (way < 0)]
+    x, groups, names = found
     low, high = np.quantile(x, [0.002, 0.998]).tolist()
     edges = np.linspace(low, high, bins + 1)
     if not edges[-1] > edges[0]:
         return {}
     place = np.digitize(x, edges) - 1
-    lines = [[_averages(place, r, g, bins) for g in groups] for r in (before, after)]
-    names = () if way is None else ("forward", "backward") if side in ("direction", "v") else (f"{side} > 0", f"{side} < 0")
+    lines = [[_averages(place, r, g & m.moving, bins) for g in groups] for r in (before, after)]
     return {
         "centres": (edges[1:] + edges[:-1]) / 2, "before": np.array(lines[0]), "after": np.array(lines[1]), "lines": names
     }  # fmt: skip
+
+
+def wave_map(view: str, m: Motion, before: Lens, after: Lens, period: float | None) -> dict[str, Any]:
+    """Return the torque that repeats with a period [unit of the axis], over one of them: fields of `result.View`.
+
+    None where it does not repeat, or where the torque along the whole axis explains more. It is fitted through the lens, for
+    averages of the most likely torque are lower than what acts: a wave that is passed in a moment hardly shows in them.
+    """
+    found = _axis(view, m)
+    if found is None or period is None or np.ptp(found[0]) <= period:
+        return {}
+    x, groups, names = found
+    knots = np.linspace(0.0, period, PHASES + 1)
+    table = np.column_stack([np.interp(x, knots[:-1], row, period=period) for row in np.eye(PHASES)])
+    waves, whole = (np.column_stack([g[:, None] * each for g in groups]) for each in (table, hats(x, PHASES)))
+    curves, gain = before.regress(waves)
+    if gain < before.regress(whole)[1]:
+        return {}
+    seen = m.moving @ waves
+    lines = [np.where(seen > SELDOM * seen.mean(), c, np.nan).reshape(-1, PHASES) for c in (curves, after.regress(waves)[0])]
+    first, second = (np.column_stack([each, each[:, 0]]) for each in lines)
+    return {"centres": knots, "before": first, "after": second, "lines": names, "period": period}
+
+
+def _axis(view: str, m: Motion) -> tuple[Array, list[NDArray[np.bool_]], tuple[str, ...]] | None:
+    """Return along what a view is drawn, the samples of each line, and the names of the lines."""
+    along, _, side = view.partition(" x ")
+    x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "tone": m.time, "theta": m.theta}.get(along)
+    if x is None:  # travel, rates and single stretches have no axis of their own here
+        return None
+    way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)
+    if way is None:
+        return x, [np.ones(len(x), dtype=bool)], ()
+    return x, [way > 0, way < 0], ("forward", "backward") if side in ("direction", "v") else (f"{side} > 0", f"{side} < 0")
 
 
 def _averages(place: NDArray[np.int_], values: Array, mask: NDArray[np.bool_], bins: int) -> Array:

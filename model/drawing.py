@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ DEGREES = 180.0 / math.pi
 POINTS = 1200  # of a curve
 TICKS = 5  # intervals between ticks, at most
 MARGINS = (0.74, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
-BESIDE, LETTER = 0.11, 0.074  # inches between an axis and its tick labels, both gaps together; width of a letter of these
+BESIDE, LETTER = 0.16, 0.074  # inches between an axis and its tick labels, both gaps together; width of a letter of these
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"], "font.size": 9,
     "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
@@ -42,7 +43,8 @@ def svg(figure: Any, salt: str) -> str:
                 axis.get_major_locator().set_params(nbins=TICKS)
     _place_labels(figure)
     out = io.StringIO()
-    with rc_context({"svg.hashsalt": f"bristle-{salt}"}):
+    with rc_context({"svg.hashsalt": f"bristle-{salt}"}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a record may have any name: a box stands for what the font lacks
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]

@@ -136,6 +136,8 @@ class Effect:
     form : tuple of mapping
         Parameters, by short names, that bend its form and do nothing at their defaults: a fit frees them last, from each of
         these values.
+    second : tuple of str
+        Parameters, by short names, of a second term, which is not there while the first of them is at its default.
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
     states, rates : tuple of State, function
@@ -178,6 +180,7 @@ class Effect:
     loose: str = ""
     load_side: bool = False
     form: tuple[Mapping[str, float], ...] = ()
+    second: tuple[str, ...] = ()
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None
     sampled: tuple[State, ...] = ()

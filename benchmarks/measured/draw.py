@@ -44,34 +44,34 @@ def emps(runs: Sequence[Run]) -> Any:
 
 
 def xl330(runs: Sequence[Run]) -> Any:
-    """Where the error was worst, before and after, and the gains of the first two rounds."""
+    """The error where it was worst, before and after, and the gains of the first two rounds."""
     [run] = runs
     figure = new_figure(8.6, 5.2)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.2, 1], hspace=0.5, wspace=0.12)
     ax = figure.add_subplot(grid[0, :])
-    _overlay(ax, run)
+    _errors(ax, run)
     for column, number in enumerate((0, 1)):
         if number < len(run.found.rounds):
             _bars(figure.add_subplot(grid[1, column]), run.found.rounds[number], number + 1)
     return figure
 
 
-def _overlay(ax: Any, run: Run) -> None:
+def _errors(ax: Any, run: Run) -> None:
     found = telling(run.found.traces)
     assert found is not None
     trace, part = found
     time = trace.time[part]
     first = np.arange(len(trace.time)) % round(SEGMENT / float(np.median(np.diff(trace.time)))) == 0
-    before, after = (np.where(first, np.nan, y)[part] for y in (trace.before, trace.after))  # no line from one to the next
-    ax.plot(time, DEGREES * trace.measured[part], color=INK, linewidth=3.0, alpha=0.28, label="measured")
-    ax.plot(time, DEGREES * before, color=ORANGE, label="refitted model")
-    label = f"with {', '.join(e.name for e in run.found.effects) or 'nothing'}"
-    ax.plot(time, DEGREES * after, color=BLUE, linestyle=(0, (3, 2)), label=label)
+    added = f"with {', '.join(e.name for e in run.found.effects) or 'nothing'}"
+    for simulated, colour, label in ((trace.before, ORANGE, "refitted model"), (trace.after, BLUE, added)):
+        error = np.where(first, np.nan, simulated - trace.measured)  # no line from one segment to the next
+        ax.plot(time, DEGREES * error[part], color=colour, label=label)
+    ax.axhline(0, color=INK, linewidth=0.7)
     ax.margins(y=0.25)
-    ax.legend(loc="upper left", ncols=3)
-    set_title(ax, f"{trace.name}, where it was worst; each segment of 0.4 s starts anew")
+    ax.legend(loc="upper left", ncols=2)
+    set_title(ax, f"{trace.name}, simulated less measured where it was worst; each segment of 0.4 s starts anew")
     ax.set_xlabel("time, s")
-    ax.set_ylabel("position, deg")
+    ax.set_ylabel("error, deg")
     ax.set_xlim(time[0], time[-1])
 
 

@@ -50,6 +50,7 @@ EFFECT = Effect(
         Parameter("cogging.amplitude2", "A2", "N.m", 0.0, -1e6, 1e6, "amplitude of the second term", "krishnan2010"),
         Parameter("cogging.phase2", "phi2", "rad", 0.0, -10.0, 10.0, "phase of the second term", "krishnan2010"),
     ),
+    second=("amplitude2", "phase2"),
     torque=torque,
     starts=starts,
 )

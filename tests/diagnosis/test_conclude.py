@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.candidates import Candidate
-from bristle.diagnosis.conclude import choices_of, mute_parameters, unnamed
+from bristle.diagnosis.conclude import choices_of, known_floor, mute_parameters, unnamed
 from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.null import Null
-from bristle.diagnosis.result import Estimate, Remains
+from bristle.diagnosis.result import Estimate, Gap, Remains
 
 UNIFORM = "one oscillation"
 QUIET, LEFT = Remains(False, None, 0.0), Remains(True, "theta", 0.5)
@@ -78,3 +78,12 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
     assert names([first, second, last], (), ("bias", "gravity")) == []  # gravity was fitted beside the bias
     assert names([first, last], (), ("gravity",)) == []  # the bias was dropped later
     assert names([last], (), ()) == []
+
+
+def test_no_noise_floor_is_given_where_it_is_not_known():
+    known = Gap(4.0, 1.0, 0.5, "rad")
+    assert known_floor(known, True) == known_floor(known, False) == known
+    all_noise = replace(known, noise_floor=1.0)
+    assert known_floor(all_noise, False) == all_noise
+    assert known_floor(all_noise, True).noise_floor is None  # what is unexplained was taken for noise
+    assert known_floor(Gap(2.1, 2.8, 2.8, "rad"), False).noise_floor is None  # 2.1 was reached

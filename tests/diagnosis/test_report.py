@@ -7,14 +7,19 @@ import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bristle.diagnosis.candidates import Candidate
 from bristle.diagnosis.figures import Rig, draw, telling
+from bristle.diagnosis.null import Null
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
-from bristle.diagnosis.story import statement, view_name
+from bristle.diagnosis.story import on_axis, statement, told, undetected, value, view_name
+from bristle.diagnosis.views import STRETCHES
+from bristle.model.drawing import RED
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 VOID = {"meta", "img", "br"}
@@ -103,6 +108,44 @@ def test_a_gap_that_did_not_shrink_is_not_said_to_fall(answer):
     assert any("falls from 0.00286 to 0.000332" in line for line in said)
 
 
+def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
+    none = answer("none")
+    unknown = replace(none, gap=replace(none.gap, noise_floor=None))
+    [line] = statement("none", (), (), unknown.gap, unknown.remains, {})[1:2]
+    assert line.endswith("disturbance and sensor alone give less, but how much less is not known.")
+    assert not any("floor" in text for text in svg_texts(draw(unknown)["gap"]))
+    assert "noise floor at most 0.0181 deg" in [text.strip() for text in svg_texts(draw(none)["gap"])]
+    assert "floor" not in text_of(page_of(unknown))
+
+
+def test_what_remains_is_what_the_table_above_it_says(answer):
+    named = answer("named")
+    noisy = replace(named.where[1], view="du", share_after=0.08, p_after=0.001)
+    text = text_of(page_of(replace(named, where=(named.where[0], noisy), remains=Remains(False, "history", 0.04))))
+    assert "Nothing that stands out: rate of the input predicts 8 % of the residual that is left" in text
+    assert "no view predicts more of the residual than chance gives" in text_of(page_of(named))
+
+
+def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
+    first, second = answer("named").where
+    burst = replace(first, view=STRETCHES, label="3 of 75 stretches, the worst at 0.5 s", share=0.99)
+    text = text_of(page_of(replace(answer("named"), where=(replace(first, share=1.0, p=0.9), second, burst))))
+    assert text.index("far off: 3 of 75 stretches") < text.index("velocity 5 %") < text.index("position 100 %")
+
+
+def test_a_record_may_have_any_name(answer, recwarn):
+    named = answer("named")
+    draw(replace(named, traces=(replace(named.traces[0], name="\u2603 \u540d.csv"),)))
+    assert not recwarn.list
+
+
+def test_what_ties_is_red_whatever_the_verdict(answer):
+    named = answer("named")
+    assert RED.lower() not in draw(named)["candidates"].lower()
+    assert RED.lower() in draw(replace(named, ties=(("cogging", "gravity"),)))["candidates"].lower()
+    assert RED.lower() in draw(answer("tie"))["candidates"].lower()
+
+
 def test_a_proposal_is_no_fit(answer):
     diagnosis = answer("proposals")
     text = text_of(render(diagnosis, draw(diagnosis), {}))
@@ -163,14 +206,22 @@ def test_a_linear_axis_reads_in_metres_newtons_and_kilograms(answer):
     assert "error, mm" in texts
     assert Rig.of(diagnosis).axis("theta") == (1e3, "position, mm")
     assert Rig.of(diagnosis).axis("u") == (1.0, "input, N")
+    assert Rig.of(diagnosis).axis("theta", 0.0032) == (1e3, "position within one period of 3.2 mm, mm")
 
 
 def test_a_turning_axis_reads_in_degrees(answer):
     figures = draw(answer("named"))
     assert "position, deg" in svg_texts(figures["overlay"])
     assert "residual torque, N·m" in svg_texts(figures["maps"])
-    assert "before: 0.164 deg" in svg_texts(figures["gap"])
+    assert "before: 0.164 deg (0.00286 rad)" in svg_texts(figures["gap"])
     assert Rig.of(replace(answer("named"), model=None)) == Rig(False, "torque", "position")
+
+
+def test_the_axis_of_what_repeats_says_how_long_a_period_is():
+    assert Rig().axis("theta x u", 2 * math.pi / 7)[1] == "position within 1/7 of a turn, deg"
+    assert Rig().axis("theta", 2 * math.pi)[1] == "position within a turn, deg"
+    assert Rig().axis("tone", 0.3891)[1] == "time within one period of 0.389 s, s"
+    assert Rig().axis("tone")[1] == "time, s"
 
 
 def test_the_units_follow_the_input(answer, fabricated):
@@ -183,7 +234,7 @@ def test_the_units_follow_the_input(answer, fabricated):
 
 
 def test_only_what_changed_has_a_before_and_an_after(answer):
-    assert "after: 0.019 deg" in svg_texts(draw(answer("named"))["gap"])
+    assert "after: 0.019 deg (0.000332 rad)" in svg_texts(draw(answer("named"))["gap"])
     for case in ("none", "not_identifiable"):
         assert not any(text.startswith(("after", "before")) for svg in draw(answer(case)).values() for text in svg_texts(svg))
 
@@ -266,10 +317,60 @@ def test_a_record_shorter_than_the_window_is_shown_whole(answer):
         (5.0, 5.0, 5.0, "5"),
         (5.0, float("-inf"), 6.0, "5"),
         (0.0, -0.02, 0.02, "0.000 ± 0.020"),
+        (5095.1, 4795.0, 5395.2, "5095 ± 300"),
+        (706437.0348, 706437.0348 - 5e-9, 706437.0348 + 5e-9, "(7.06437 ± 0.00001)·10<sup>5</sup>"),
     ],
 )
 def test_an_interval_has_two_figures(value, low, high, expected):
     assert interval(value, low, high) == expected
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expected"),
+    [
+        (Estimate(0.249953, "N.m", (0.249906, 0.25)), "0.249953 N.m (0.249906 to 0.250000)"),
+        (Estimate(7.0000012, "1", (6.99998, 7.00002)), "7.00000 (6.99998 to 7.00002)"),
+        (Estimate(7.0, "1", (7.0 - 1e-9, 7.0 + 1e-9)), "7.00000 (6.99999 to 7.00001)"),
+        (Estimate(0.04228, "N.m", (0.03224, 0.05545)), "0.042 N.m (0.032 to 0.055)"),
+        (Estimate(123456.0, "1", (123356.0, 123556.0)), "1.2346e5 (1.2336e5 to 1.2356e5)"),
+        (Estimate(0.3, "1", None), "0.3 (uncertain)"),
+    ],
+)
+def test_a_sentence_gives_the_digits_that_the_interval_calls_for(estimate, expected):
+    assert value(estimate) == expected
+
+
+def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
+    [cogging] = answer("named").effects
+    assert list(told(cogging)) == ["amplitude", "phase", "periods"]
+    there = {**cogging.parameters, "amplitude2": Estimate(0.01, "N.m", (0.009, 0.011))}
+    assert list(told(replace(cogging, parameters=there))) == list(cogging.parameters)
+    sine, cosine = Estimate(0.01, "1", (-0.01, 0.03)), Estimate(0.1, "1", (0.08, 0.12))
+    unbent = Named("gravity", "", {"amplitude": cosine, "sine2": sine, "cosine2": sine}, 9.0, 0.1)
+    assert list(told(unbent)) == ["amplitude"]
+    bent = replace(unbent, parameters={**unbent.parameters, "cosine2": cosine})
+    assert list(told(bent)) == ["amplitude", "sine2", "cosine2"]
+
+
+def test_words_are_those_of_the_axis_and_of_its_input():
+    line = "Missing: constant torque (bias); torque 0.06 N; bias.torque at the end of what may be"
+    assert on_axis(line, False, "torque") == line
+    assert on_axis(line, True, "force") == "Missing: constant force (bias); force 0.06 N; bias.torque at the end of what may be"
+    assert on_axis("voltage over speed", False, "torque") == "torque over speed"
+    assert on_axis("voltage over speed", False, "voltage") == "voltage over speed"
+
+
+def test_what_was_not_found_is_not_said_to_need_what_the_records_have():
+    tried = Candidate("backlash", SimpleNamespace(total=0.0, free=()))
+    found = undetected([tried], Null(np.zeros(1), {}), 0.0, (), model=None)
+    assert found == {"backlash": "tried, and no trace of it; what shows it: reversals"}
+
+
+def test_a_linear_axis_has_no_torque(answer):
+    bias = Named("bias", "bias", {"torque": Estimate(0.06, "N.m", (0.05, 0.07))}, 9.0, 0.001)
+    text = text_of(page_of(replace(answer("not_identifiable"), effects=(bias,), verdict="named")))
+    assert "constant force, positive forward" in text
+    assert "constant torque" not in text
 
 
 def test_views_are_named_in_words():

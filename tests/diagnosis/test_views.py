@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.bench import lens_of
-from bristle.diagnosis.views import FLIPS, STRETCHES, hats, residual_map, shares, stops
+from bristle.diagnosis.views import FLIPS, STRETCHES, hats, residual_map, shares, stops, wave_map
 
 SHARE = 0.6
 MADE = {  # a torque that follows a view, of the motion and the time t
@@ -115,3 +115,31 @@ def test_a_map_shows_both_ways_of_going(plain):
     np.testing.assert_allclose(backward[known], -np.sin(np.asarray(drawn["centres"]))[known], atol=0.1)
     assert np.nanmax(np.abs(np.asarray(drawn["after"]))) == 0.0
     assert residual_map("v", m, torque, torque)["lines"] == ()
+
+
+def through(plain, torque):
+    """Return a lens whose residual is what a torque (samples,) does."""
+    lens = copy(lens_of(plain.base, plain.bench))
+    lens.rest = lens.free_of_model(lens.through(torque[:, None]))[:, :, 0]
+    return lens
+
+
+@pytest.mark.parametrize("view", ["theta", "theta x direction", "tone"])
+def test_a_wave_is_drawn_over_one_period_and_as_high_as_it_is(plain, view):
+    m, period = plain.bench.motion, 0.16 if view == "tone" else 2 * np.pi / 9
+    wave = 0.06 * np.sin(2 * np.pi / period * (m.time if view == "tone" else m.theta) + 0.4)
+    torque = wave * np.sign(m.v) if "x" in view else wave
+    drawn = wave_map(view, m, through(plain, torque), through(plain, 0 * torque), period)
+    assert drawn["period"] == period
+    np.testing.assert_allclose(drawn["centres"][[0, -1]], [0.0, period])
+    for line, sign in zip(drawn["before"], (1, -1), strict=False):
+        np.testing.assert_allclose(line, sign * 0.06 * np.sin(2 * np.pi / period * drawn["centres"] + 0.4), atol=0.008)
+    assert np.abs(drawn["after"]).max() == 0.0
+
+
+def test_what_does_not_repeat_is_drawn_along_the_whole_axis(plain):
+    m = plain.bench.motion
+    stop = through(plain, np.maximum(m.theta - np.quantile(m.theta, 0.9), 0.0))
+    assert wave_map("theta", m, stop, stop, 2 * np.pi / 9) == {}
+    assert wave_map("theta", m, stop, stop, None) == wave_map("history", m, stop, stop, 0.1) == {}
+    assert wave_map("theta", m, stop, stop, 2 * np.ptp(m.theta)) == {}
