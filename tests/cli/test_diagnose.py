@@ -84,7 +84,7 @@ def test_it_says_what_it_found_and_where_the_report_is(call: Call, asked: dict[s
     lines = said.splitlines()
     assert lines[0].startswith("Cogging explains the difference")
     row = next(line for line in lines if "amplitude " in line)
-    assert row.split() == ["cogging", "amplitude", "0.06", "0.0582", "...", "0.0618", "N.m"]
+    assert row.split() == ["cogging", "amplitude", "0.0600", "0.0582", "...", "0.0618", "N.m"]
     made = asked["made"].CASES["named"]()
     for line in (made.experiment, *made.findings):
         assert f"  - {line}" in lines
