@@ -125,7 +125,7 @@ def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str,
         half = 10.0**last
         low, high = value - half, value + half
     power = 0 if -3 <= most < 5 else most
-    mid, below, above, spread = (f"{x / 10.0**power:.{max(0, power - last)}f}" for x in (value, low, high, half))
+    mid, below, above, spread = (f"{x / 10.0**power:z.{max(0, power - last)}f}" for x in (value, low, high, half))
     return (mid, below, above, spread), power
 
 
