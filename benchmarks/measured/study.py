@@ -40,12 +40,12 @@ ABOUT = {
     "emps": """Linear axis with a ball screw, 25 s at 1 kHz; the input is in volts with its known gain in N/V. The model has viscous
 and symmetric Coulomb friction; the authors of the data name an offset, and friction that differs by direction.""",
     "bam_xl330_gain": """Half a kilogram at 0.1 m on a small servo, 12 runs of 6 s at four gains of its position loop; the input is
-the voltage. The model does not know of gravity. Those who recorded it also name friction that grows with the load.""",
+the voltage. The model does not know of gravity. Those who recorded it also name friction that grows with the load.
+Cogging gains more than gravity in the first round, but at the end of its interval, two periods in a turn: what it explains there
+is something else.""",
     "bam_go1_load": """Runs of 6 s at 62.5 Hz with 0, 1, 2 and 3 kg at 0.15 m. The model is fitted to the runs without a load; with
-one, gravity must grow in proportion, and inertia by as much for each kilogram, from what motor and arm have. Found are 5.0,
-8.4 and 12.7 g·m², 3.4 more for the second kilogram and 4.3 for the third; a straight line through the three meets 1 g·m²
-without a load. The inertia is thus not in proportion to the load, and a straight line only nearly. The logged torque is that
-of the rotor, ahead of a gear that nobody mentions.""",
+one, gravity must grow in proportion, and inertia by as much for each kilogram, from what motor and arm have: on a straight line
+then, and not one through zero. The logged torque is that of the rotor, ahead of a gear that nobody mentions.""",
     "odrive_cogging": """A motor turned once, slowly, three times with its anti-cogging compensation off and three times on; the
 input is the measured current, which holds that of the compensation: what it mends is the motion, not the motor. With it off the
 cogging must be named; with it on it must be gone from the motion or much smaller, and may be named or not.""",
