@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft, ndimage, stats
 
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.record import Raw, Record
@@ -20,6 +20,7 @@ STILL = 3.001  # steps of the resolution: less is no motion
 FINE = 1e-5  # of the range, or of a turn: finer steps are those of a reading that is as good as continuous
 WHOLE = 0.05  # counts: a turn of a whole number of them, as far as a step can be found
 CHANCE = 0.01  # that pure noise passes for motion, in each test: to take a motion for noise would be worse
+FEW, LEAVES = 9, 8.0  # running medians of so many samples of pure noise lie within this many times its standard deviation
 SPIKE = 8.0  # a spike steps this many times farther than its neighbours
 BITS = (8, 32)  # of a counter that wraps
 STUCK = 0.2  # s: an output that stands still so long while the input sweeps most of its range is worth a line
@@ -58,11 +59,18 @@ def must_move(model: Model, raw: Raw, resolution: float | None) -> None:
     span, unit = float(np.ptp(raw.y)), model.output_unit
     if span <= STILL * (resolution or 0.0) or span <= 1e-12 * float(np.max(np.abs(raw.y))):
         seen = f"the output stays within {span:.3g} {unit}" + (f", its resolution is {resolution:.3g} {unit}" if resolution else "")
-    elif _only_noise(raw.u, raw.y):
+    elif not _leaves_noise(raw.y) and _only_noise(raw.u, raw.y):
         seen = f"all that the output shows is noise of {np.std(raw.y):.3g} {unit} rms"
     else:
         return
     raise raw.error(f"nothing moves: {seen}; check [output] column, and give a record with motion")
+
+
+def _leaves_noise(y: Array) -> bool:
+    """True if the output leaves the noise for some samples in a row: a servo may rest nearly all of the time."""
+    step = float(np.min(np.diff(np.unique(y)), initial=np.inf))  # of a coarse sensor; one that hardly ever changes has no deviation
+    usual = max(float(stats.median_abs_deviation(y, scale="normal")), step)
+    return bool(np.ptp(ndimage.median_filter(y, FEW, mode="nearest")) > LEAVES * usual)
 
 
 def _only_noise(u: Array, y: Array) -> bool:

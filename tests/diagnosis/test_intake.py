@@ -258,6 +258,14 @@ def test_motion_far_below_the_noise_is_motion(y, model):
     assert len(one(model, t, u, y)) == N
 
 
+def test_a_servo_that_rests_nearly_all_of_the_time_moves(model):
+    """A bump of ten samples is as good as white, and ranks do not tell how large it is."""
+    t = 0.01 * np.arange(6000)
+    y = 1e-4 * np.random.default_rng(5).standard_normal(6000)
+    y[3000:3030] += 0.1 * np.hanning(30)
+    assert len(one(model, t, 0.5 * (np.arange(6000) // 700 % 2) - 0.25, y)) == 6000
+
+
 def test_an_output_as_white_as_noise_that_follows_the_input_is_motion(tree):
     tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
     t, _, _ = motion()
