@@ -43,7 +43,8 @@ class Record:
     Raises
     ------
     BristleError
-        If time, u and y are no vectors of finite numbers, of one length, or h is not above 0.
+        If time, u and y are no vectors of finite numbers, of one length, if h is not above 0, or if another field is of
+        another kind.
     """
 
     name: str
@@ -67,6 +68,11 @@ class Record:
         h: object = self.h
         if not isinstance(h, int | float | np.number) or not 0.0 < float(h) < np.inf:
             raise BristleError(f"record {self.name}: h is {h}; give the sampling period in s, above 0")
+        for key, value, most in (("resolution", self.resolution or 0.0, np.inf), ("ahead", self.ahead, 1.0)):
+            if not isinstance(value, int | float | np.number) or not 0.0 <= float(value) < most:
+                raise BristleError(f"record {self.name}: {key} is {value}; give a number of at least 0 and below {most:g}")
+        if not isinstance(self.findings, tuple) or not all(isinstance(line, str) for line in self.findings):
+            raise BristleError(f"record {self.name}: findings are {self.findings!r}; give a tuple of texts")
 
     def __len__(self) -> int:
         return len(self.time)

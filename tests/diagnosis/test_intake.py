@@ -328,6 +328,10 @@ def test_a_record_made_by_hand_is_checked(model, message):
         ({"h": 0.0}, "h is 0.0; give the sampling period"),
         ({"h": None}, "h is None; give the sampling period"),
         ({"name": 3}, "its name is a int; give text"),
+        ({"resolution": "fine"}, "resolution is fine; give a number of at least 0"),
+        ({"resolution": -1.0}, "resolution is -1.0; give a number of at least 0"),
+        ({"ahead": np.nan}, "ahead is nan; give a number of at least 0 and below 1"),
+        ({"findings": None}, "findings are None; give a tuple of texts"),
     ):
         assert words in message(lambda change=change: replace(made, **change))
     for other, words in (
