@@ -12,7 +12,6 @@ import argparse
 import base64
 import hashlib
 import json
-import os
 import sys
 import tempfile
 import zlib
@@ -22,12 +21,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: one thread a worker
-    os.environ[variable] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))
 
-from run import diagnose_one  # noqa: E402 - after the threads are set
-from score import Judged  # noqa: E402 - after the threads are set
+from run import diagnose_one
+from score import Judged
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "scenarios" / "hidden"

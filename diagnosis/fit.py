@@ -61,6 +61,15 @@ class Free:
         width = self.high - self.low
         return bool(value <= self.low + 1e-9 * min(width, abs(self.low) + 1.0) or value >= self.high * (1 - 1e-9) > 0)
 
+    def barred(self, value: float) -> bool:
+        """True at an end of the interval that holds it back; none at all, 0, is no such end."""
+        return self.stuck(value) and value != 0.0
+
+    def widened(self, factor: float) -> Free:
+        """Return the same with both ends farther out by a factor."""
+        low, high = sorted((self.low / factor, self.high * factor))
+        return replace(self, low=low, high=high)
+
 
 @dataclass(frozen=True)
 class Begin:

@@ -19,7 +19,7 @@ from bristle.diagnosis import result as answer
 from bristle.diagnosis.bench import Bench, settle_well
 from bristle.diagnosis.candidates import Servo
 from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.fit import Fit, Free, evaluate, refit
+from bristle.diagnosis.fit import Fit, evaluate, refit
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.plausibility import check
@@ -218,8 +218,9 @@ def _twin(model: Model, bench: Bench, copy: Bench) -> Twin:
     """Fit a servo to the FMU (`copy`), and take what is left out of what was measured."""
     servo, values = base_of(model, copy)
     fit = _fitted(copy, servo, values)
-    if any(_ended(f, fit) for f in servo.free if f.name in model.bounds):  # an FMU may be anything, and is followed there
-        free = tuple(_widened(f) if f.name in model.bounds else f for f in servo.free)
+    barred = any(f.barred(fit.values[f.name]) for f in servo.free if f.name in model.bounds)
+    if barred:  # an FMU may be anything, and is followed there
+        free = tuple(f.widened(WIDER) if f.name in model.bounds else f for f in servo.free)
         fit = _fitted(copy, replace(servo, free=free), fit.values)
     first, pieces = 0, []
     for piece in bench.segments.pieces:
@@ -232,16 +233,6 @@ def _twin(model: Model, bench: Bench, copy: Bench) -> Twin:
     measured = evaluate(problem, fit.simulator, fit.free, fit.values, corrected.segments.starts)
     error, gap = (math.sqrt(mean_square(each, judged)) for each in (fit, measured))
     return Twin(corrected, fit.values, error, gap)
-
-
-def _ended(f: Free, fit: Fit) -> bool:
-    """True if a parameter is at an end of its interval; none at all, 0, is no end."""
-    return f.stuck(fit.values[f.name]) and fit.values[f.name] != 0.0
-
-
-def _widened(f: Free) -> Free:
-    ends = sorted((f.low / WIDER, f.high * WIDER))
-    return replace(f, low=ends[0], high=ends[1])
 
 
 def _fitted(copy: Bench, servo: Servo, values: Mapping[str, float]) -> Fit:

@@ -134,12 +134,10 @@ def _in_part(model: Model, bench: Bench, base: Stage, final: Stage) -> bool:
 
 def better_unbound(model: Model, bench: Bench, base: Stage, final: Stage) -> str | None:
     """Return a proposal where wider bounds alone explain the records better than the effects that were found within them."""
-    stuck = (f for f in base.servo.free if f.name in model.bounds and f.stuck(base.fit.values[f.name]))
-    tight = {f.name: f for f in stuck if base.fit.values[f.name] != 0.0}
+    tight = {f.name: f for f in base.servo.free if f.name in model.bounds and f.barred(base.fit.values[f.name])}
     if not tight:
         return None
-    ends = {name: sorted((f.low / REACH, f.high * REACH)) for name, f in tight.items()}
-    free = tuple(replace(f, low=ends[f.name][0], high=ends[f.name][1]) if f.name in tight else f for f in base.servo.free)
+    free = tuple(f.widened(REACH) if f.name in tight else f for f in base.servo.free)
     wide = settle(bench, replace(base.servo, free=free), base.fit.values)
     price = 0.5 * (len(final.fit.free) - len(wide.fit.free)) * math.log(np.count_nonzero(bench.train) + 1.0)
     if wide.fit.total < final.fit.total - price:

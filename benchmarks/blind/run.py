@@ -23,16 +23,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: one thread a worker
-    os.environ[variable] = "1"
-
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # before numpy: one thread a worker
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-from cases import SELECTIONS, Spec, draw, plan, seal, write  # noqa: E402 - after the threads are set
-from common import write_json  # noqa: E402 - after the threads are set
-from page import put  # noqa: E402 - after the threads are set
-from score import tables  # noqa: E402 - after the threads are set
-from truth import library  # noqa: E402 - after the threads are set
+from cases import SELECTIONS, Spec, draw, plan, seal, write
+from common import write_json
+from page import put
+from score import tables
+from truth import library
 
 ROOT = Path(__file__).resolve().parents[2]
 ABOUT = """## How often it is wrong

@@ -14,14 +14,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy
-    os.environ[variable] = "1"
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # before numpy
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parent))
 
-import draw  # noqa: E402 - after the threads are set
-from cases import FOLDERS, Run  # noqa: E402 - after the threads are set
-from page import put  # noqa: E402 - after the threads are set
-from records import ROOT as DATA  # noqa: E402 - after the threads are set
+import draw
+from cases import FOLDERS, Run
+from page import put
+from records import ROOT as DATA
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "benchmarks" / "results" / "measured.md"

@@ -19,21 +19,21 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: one thread a worker
-    os.environ[variable] = "1"
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent)]
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # before numpy: one thread a worker
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import jobs  # noqa: E402 - after the threads are set
-from common import write_json  # noqa: E402 - after the threads are set
-from pages import publish  # noqa: E402 - after the threads are set
-from records import TRUE  # noqa: E402 - after the threads are set
-from rich.console import Console  # noqa: E402 - after the threads are set
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: E402 - as above
+import jobs
+from common import write_json
+from pages import publish
+from records import TRUE
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bristle.model.sources import fingerprint  # noqa: E402 - after the threads are set
-from bristle.observer import observer_program  # noqa: E402 - after the threads are set
+from bristle.model.sources import fingerprint
+from bristle.observer import observer_program
 
+ROOT = Path(__file__).resolve().parents[2]
 STUDIED = ("S", "R", "L0", "L1", "GMS")
 ORDERS = (1, 2)
 STARTS = 5  # on each record, so that 24 records make more than a hundred
@@ -108,8 +108,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="worker processes")
-    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "out" / "study", help="folder of the results")
-    parser.add_argument("--docs", type=Path, default=HERE.parents[1] / "docs" / "study", help="folder of the pages")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "study", help="folder of the results")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "study", help="folder of the pages")
     parser.add_argument("--pages", action="store_true", help="only write the pages")
     given = parser.parse_args()
     if given.seeds < 1 or given.jobs < 1:
