@@ -522,6 +522,9 @@ def test_bristles_follow_the_equation(name, damping):
         assert 3.3 <= coarse / fine <= 4.7
 
 
+# -- what each must do besides --------------------------------------------------------------------------------------------
+
+
 def test_bristle_damping_of_none_is_presliding():
     u = voltages(800)
     first, _ = Native(lean("presliding")).run(H, {"u": u}, ["theta", "v", "F"])
