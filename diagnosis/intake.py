@@ -90,6 +90,31 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     return _records(model, _entries(arrays))
 
 
+def must_show(model: Model, records: Sequence[Record]) -> None:
+    """Refuse records in which there is nothing to diagnose: whoever makes a `Record` by hand has not been told yet."""
+    still: list[BristleError] = []
+    for record in records:
+        raw = Raw(record.name, record.name, record.time, record.u, record.y, [])
+        if len(record) * record.h < BRIEFEST:
+            raise _too_brief(raw)
+        _possible(model, raw)
+        try:
+            must_move(model, raw, record.resolution or model.resolution)
+        except BristleError as error:
+            still.append(error)
+    if len(still) == len(records):
+        raise still[0]
+    _must_be_driven(model, records, records[0].name)
+
+
+def _must_be_driven(model: Model, records: Sequence[Record], where: str) -> None:
+    if all(_constant(record.u) for record in records):
+        raise BristleError(
+            f"record {where}: input is constant ({records[0].u[0]:g} {model.input_unit}) in every record; "
+            "check [input] column, and give a record in which it moves"
+        )
+
+
 def _entries(arrays: Iterable[object]) -> Iterator[Entry]:
     """Check that each entry is what it should be; a record in memory is told by its name."""
     for number, entry in enumerate(arrays, start=1):
@@ -123,12 +148,7 @@ def _records(model: Model, entries: Iterable[Entry]) -> list[Record]:
         records += _pieces(model, raw)
     if not records:
         raise BristleError("no record is given; give at least one")
-    if all(_constant(record.u) for record in records):
-        first = records[0]
-        raise BristleError(
-            f"record {next(iter(before))}: input is constant ({first.u[0]:g} {model.input_unit}) in every record; "
-            "check [input] column, and give a record in which it moves"
-        )
+    _must_be_driven(model, records, next(iter(before)))
     for i, record in enumerate(records):
         if _constant(record.u):
             line = f"input is constant ({record.u[0]:g} {model.input_unit}): the record shows friction, but hardly inertia"
@@ -183,6 +203,11 @@ def _possible(model: Model, raw: Raw) -> None:
             raise raw.error(f"{key} reaches {most:.3g} {unit}, allowed {SMALLEST:g} to {LARGEST:g}; check its column and unit")
 
 
+def _too_brief(raw: Raw) -> BristleError:
+    length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s; at least {BRIEFEST:g} s are needed"
+    return raw.error(f"{length}: record longer, or correct [time] unit")
+
+
 def _pieces(model: Model, raw: Raw) -> list[Record]:
     increasing(raw)
     if len(raw.time) < SHORTEST:
@@ -216,8 +241,7 @@ def _pieces(model: Model, raw: Raw) -> list[Record]:
         raw.say(f"piece {name} left out: {why}")
     if not records:
         if len(runs) == 1:
-            length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s; at least {BRIEFEST:g} s are needed"
-            raise raw.error(f"{length}: record longer, or correct [time] unit")
+            raise _too_brief(raw)
         raise raw.error(f"no piece between gaps lasts {BRIEFEST:g} s with {SHORTEST} samples; record without gaps")
     records[0] = replace(records[0], findings=(*raw.lines, *records[0].findings))
     return records

@@ -38,20 +38,16 @@ def bench_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT) 
     length = max(8, round(seconds / h))
     width = max(1, length // BINS)
     bins = length // width
-    resolution = model.resolution or max((r.resolution or 0.0 for r in records), default=0.0)
-    noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in records]))
-    resolution = resolution or max(noise, 1e-12)
-    pieces = []
-    for r in records:
-        if len(r.u) < 3 * length:
-            continue
-        pieces.append(cut(r.name, float(r.time[0]), h, r.u, r.y, velocity, resolution, width, bins))
-    if not pieces:
+    long = [r for r in records if len(r) >= 3 * length]
+    if not long:
         raise BristleError(f"records: none lasts three segments of {SEGMENT:g} s; give longer ones")
+    resolution = model.resolution or max(r.resolution or 0.0 for r in records)
+    noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in long]))
+    resolution = resolution or max(noise, 1e-12)
+    pieces = [cut(r.name, float(r.time[0]), h, r.u, r.y, velocity, resolution, width, bins) for r in long]
     segments = Segments(tuple(pieces), h, width, bins, velocity)
-    kept = [r.y for r in records if len(r.u) >= 3 * length]
     least = resolution / math.sqrt(12 * width) / 3
-    moved = motion(segments, kept, resolution, max(SMOOTH / 2, 2 * h))
+    moved = motion(segments, [r.y for r in long], resolution, max(SMOOTH / 2, 2 * h))
     barred = {"stribeck": f"the law '{model.friction}' has a Stribeck curve of its own"} if _falls(model) else {}
     doubtful = h >= SLOW and not any(r.ahead for r in records)
     bench = Bench(segments, moved, resolution, least, excitation(model, records)["narrow"], barred, doubtful=doubtful)

@@ -16,6 +16,7 @@ from bristle.diagnosis.clock import must_agree
 from bristle.diagnosis.conclude import conclude, fell_between, gap_between, views_beside
 from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.feed import NotHeldError, fed
+from bristle.diagnosis.intake import must_show
 from bristle.diagnosis.modelfile import REACH, Model, must_be_model
 from bristle.diagnosis.plausibility import Plausibility, check
 from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
@@ -84,14 +85,15 @@ def _diagnosed(model: Model, records: Sequence[Record], tell: Tell, begun: float
     return replace(found, findings=(*found.findings, *lines, *said.findings))
 
 
-def must_be(model: object, records: object) -> None:
-    """Raise `BristleError` if these are not what they should be: paths, say, or plain arrays."""
+def must_be(model: Model, records: Sequence[Record]) -> None:
+    """Raise `BristleError` if these are not what they should be: paths, say, or plain arrays, or records that show nothing."""
     must_be_model(model)
     if not isinstance(records, Sequence) or not all(isinstance(record, Record) for record in records):
         raise BristleError("the records are not a list of Record; give what load_records or records_from_arrays returns")
     if not records:
         raise BristleError("no record is given; give at least one")
     must_agree(records)
+    must_show(model, records)
 
 
 def mend_first(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, Record, diagnose, load_model, load_records, records_from_arrays
+from bristle.diagnosis.intake import must_show
 
 H = 1e-3
 N = 6000
@@ -339,6 +340,20 @@ def test_a_record_made_by_hand_is_checked(model, message):
         (Record("b", 2 * t, 2e-3, u, y), "record b: sampled every 0.002 s, record run every 0.001 s; records_from_arrays"),
     ):
         assert words in message(lambda other=other: diagnose(model, [made, other]))
+    for change, words in (
+        ({"y": np.full(N, 0.3)}, "record run: nothing moves: the output stays within 0 rad"),
+        ({"y": 1e-3 * WHITE}, "record run: nothing moves: all that the output shows is noise of 0.001 rad rms"),
+        ({"y": 1e200 * y}, "record run: output reaches"),
+        ({"u": np.full(N, 0.5)}, "record run: input is constant (0.5 N.m) in every record"),
+        ({"time": t[:5], "u": u[:5], "y": y[:5]}, "record run: lasts 0.004 s; at least 2 s are needed"),
+    ):
+        assert words in message(lambda change=change: diagnose(model, [replace(made, **change)]))
+    for kept in ({"y": np.full(N, 0.3)}, {"u": np.full(N, 0.5)}):  # beside another that shows something
+        must_show(model, [replace(made, **kept), made])
+    coarse = np.linspace(0.0, 30.0, 301)
+    brief = records_from_arrays(model, [("a", t[:2001], u[:2001], y[:2001]), ("b", coarse, np.sin(coarse), np.cos(0.7 * coarse))])
+    assert len(brief[0]) == 21  # at the rate of the other one
+    must_show(model, brief)
 
 
 def test_one_path_is_a_list_of_one_and_none_counts_twice(model, message, tmp_path):
