@@ -60,13 +60,18 @@ class Bench:
 
     @cached_property
     def held(self) -> Mask:
-        """Segments kept from the search: none with an end of the range, for what begins there may show nowhere else."""
+        """Segments kept from the search: none with an end of the range, for what begins there may show nowhere else.
+
+        Where no other is left, as in a record of two seconds, those with an end are kept as well, or the last one.
+        """
         m = self.motion
         judged = np.repeat(self.segments.judged, len(m.theta) // len(self.segments.judged))
         ends = [int(np.argmax(np.where(judged, side * x, -np.inf))) for x in (m.theta, m.u) for side in (1, -1)]
         free = np.ones(len(self.segments.judged), dtype=bool)
         free[np.array(ends) * len(free) // len(m.theta)] = False
-        return np.asarray(self.segments.judged & (self.segments.block % HELD == HELD - 1) & free)
+        every = self.segments.judged & (self.segments.block % HELD == HELD - 1)
+        last = np.arange(len(free)) == np.flatnonzero(self.segments.judged)[-1]
+        return next(np.asarray(kept) for kept in (every & free, every, last) if kept.any())
 
     def problem(self, noise: Noise, judged: Mask) -> Problem:
         """Return a problem over these segments."""
@@ -117,7 +122,7 @@ class Bench:
         s = self.segments
         ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
         moved = (s.seen - (s.seen @ ramp) @ ramp.T)[self.train]
-        return mean_square(fit, self.train) / float(np.mean(np.square(moved)))
+        return mean_square(fit, self.train) / max(float(np.mean(np.square(moved))), 1e-300)
 
     def far(self, fit: Fit) -> bool:
         """True if a model misses so much of the motion that steps from where it stands may lead nowhere."""

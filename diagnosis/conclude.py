@@ -46,7 +46,7 @@ def conclude(
         bench.disturbance(final.fit),
     )  # fmt: skip
     gap = known_floor(gap, left.flag)
-    undecided = () if named else _open(last)
+    undecided = _open(last)
     mute = () if named or undecided else mute_parameters(plain)
     verdict = "named" if named else unnamed(last, bench.narrow, left, mute)
     intervals = estimates(model, whole, final.problem.only(bench.segments.judged))
@@ -60,6 +60,9 @@ def conclude(
     )  # fmt: skip
     own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
     choices = {c.name: estimates(model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit}
+    told = {*named, *undecided, *(name for tie in ties for name in tie)}
+    added = last.best.name if last.best and last.named else ""
+    missed = story.undetected(last.candidates, last.null, last.base, told, model, added)
     said = partial(story.on_axis, linear=bench.linear, input_kind=model.input_kind)
     return answer.Diagnosis(
         verdict=verdict,
@@ -75,7 +78,7 @@ def conclude(
         base=plain,
         parameters=own,
         rounds=tuple(_round(v) for v in rounds),
-        undetected={k: said(v) for k, v in story.undetected(last.candidates, last.null, last.base, named, model).items()},
+        undetected={k: said(v) for k, v in missed.items()},
         traces=_traces(bench, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,
@@ -116,7 +119,7 @@ def _open(verdict: Verdict) -> tuple[str, ...]:
 
 
 def choices_of(rounds: Sequence[Verdict], undecided: Sequence[str], named: Sequence[str]) -> list[Candidate]:
-    """Return what may be chosen: the members of an open tie, or those that a name stands for, if nothing was added after it."""
+    """Return what may be chosen: the members of an open tie, or those that the last name stands for, if there is none."""
     if undecided:
         return [c for c in rounds[-1].candidates if c.name in undecided]
     v = next((v for v in reversed(rounds) if v.named), None)
@@ -199,7 +202,7 @@ def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer
     noise = final.problem.noise
     cover = np.linalg.inv(noise.whiten)
     covariance_ = cover @ cover.T
-    live = bench.held & (final.fit.weight >= 0)
+    live = bench.held & final.fit.good
     floor = []
     for columns in final.fit.raw_by_start[live]:
         q, r = np.linalg.qr(columns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
         numbers["torque_range"] = {"lowest": ends[0], "highest": ends[1], "unit": "N" if model.linear else "N.m"}
     numbers["narrow"] = _narrow(model, numbers)
-    numbers["caveats"] = _caveats(model, numbers)
+    numbers["caveats"] = [*_caveats(model, numbers), *_beside(model, records)]
     return numbers
 
 
@@ -143,6 +144,22 @@ def _spectrum(signal: Array, h: float) -> tuple[float, float]:
     if peak < RESOLVED:
         return band, 0.0
     return band, float(np.sum(power[peak - 2 : peak + 3]) / np.sum(power))
+
+
+def _beside(model: Model, records: Sequence[Record]) -> list[str]:
+    """Return in words what several records cannot show because nobody knows how they lie beside each other."""
+    found, spans = [], sorted((float(r.time[0]), float(r.time[-1])) for r in records)
+    if any(later[0] <= earlier[1] for earlier, later in pairwise(spans)):
+        found.append(
+            "times of the records overlap: each is taken to have its own clock, so that a drift or a step in time is looked for in "
+            "each alike; log the time of the session if there may be one"
+        )
+    if model.output_kind == "velocity" and len(records) > 1:
+        found.append(
+            "velocities only: each record is taken to begin at position 0; what depends on the position shows only if they begin "
+            "at the same place"
+        )
+    return found
 
 
 def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:

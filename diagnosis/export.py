@@ -69,8 +69,9 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
     own = diagnosis.parameters
     if choose in diagnosis.choices:  # in the place of what stands for it, if that was named
         found = {name: each for name, each in found.items() if name not in _mates(diagnosis, choose)}
+        own = diagnosis.choice_parameters.get(choose, own)  # and what was named before, as it is beside that
+        found = {name: {key: own.get(f"{name}.{key}", e) for key, e in each.items()} for name, each in found.items()}
         found |= {choose: diagnosis.choices[choose]}
-        own = diagnosis.choice_parameters.get(choose, own)
     model = _refitted(diagnosis.model, own or diagnosis.base, found)
     return Augmented(model, tuple(model.effects), tuple(found), _settings(model))
 

@@ -128,7 +128,12 @@ def draw(diagnosis: Diagnosis) -> dict[str, str]:
 
 def improved(diagnosis: Diagnosis) -> bool:
     """True if there is an "after" that differs from "before"."""
-    return bool(diagnosis.effects) or bool(diagnosis.choices)
+    return bool(diagnosis.effects)
+
+
+def as_given(diagnosis: Diagnosis) -> bool:
+    """True if the model was not even fitted, for the data have to be mended first."""
+    return bool(diagnosis.proposals) and not diagnosis.rounds
 
 
 # -- gap ---------------------------------------------------------------------------------------------------------------
@@ -142,7 +147,7 @@ def rms(square: float | None, rig: Rig) -> tuple[float, str]:
 
 def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     gap = diagnosis.gap
-    first = "before" if improved(diagnosis) else "model as given" if diagnosis.proposals else "refitted model"
+    first = "before" if improved(diagnosis) else "model as given" if as_given(diagnosis) else "refitted model"
     rows = [(first, gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if improved(diagnosis) else [])
     values = [rms(square, rig)[0] for _, square, _ in rows]
     floor, unit = rms(gap.noise_floor, rig)
@@ -165,7 +170,7 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     ax.set_yticks([])
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
-    set_labels(ax, x=f"rms error over {'all' if diagnosis.proposals else 'held-out'} segments, {unit}")
+    set_labels(ax, x=f"rms error over {'all' if as_given(diagnosis) else 'held-out'} segments, {unit}")
     _narrow_left(figure)
     return figure
 
@@ -369,7 +374,7 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
     colours = ", before (orange) and after (blue)" if both else ""
     segments = "short segments that took no part in the search"
-    if diagnosis.proposals:
+    if as_given(diagnosis):
         segments = "short segments, of the model as it was given: nothing was fitted and nothing looked for"
     return {
         "gap": ("The gap", f"Root of the mean squared error over {segments}.{band}{shrink}"),

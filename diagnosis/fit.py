@@ -26,6 +26,7 @@ SIDES = (-1.0, 0.0, 1.0)  # of the play, where a loose load is looked for
 DEAREST = 50.0  # nats that these may cost in a segment: more is rounding, where a simulation runs away
 PATIENCE = 3  # steps in a row that gain nothing
 MUCH = 10.0  # nats: a step that promises this is shortened until it keeps some of it (a loose load's promises are never kept)
+SAME, PART = 1e-4, 0.3  # share of what a parameter does that others cannot do; share of it by which one of these is told
 WILD = 1e12  # outputs and derivatives beyond this, or none, are those of a simulation that failed
 FAILED = 1e6  # squared misfit of a segment whose simulation failed
 DAMPING = 1e-3
@@ -58,16 +59,17 @@ class Free:
 
     def stuck(self, value: float) -> bool:
         """True at an end of the interval."""
-        width = self.high - self.low
-        return bool(value <= self.low + 1e-9 * min(width, abs(self.low) + 1.0) or value >= self.high * (1 - 1e-9) > 0)
+        near = 1e-9 * min(self.high - self.low, abs(self.low) + 1.0), 1e-9 * abs(self.high)
+        return bool(value <= self.low + near[0] or value >= self.high - near[1])
 
     def barred(self, value: float) -> bool:
         """True at an end of the interval that holds it back; none at all, 0, is no such end."""
         return self.stuck(value) and value != 0.0
 
     def widened(self, factor: float) -> Free:
-        """Return the same with both ends farther out by a factor."""
-        low, high = sorted((self.low / factor, self.high * factor))
+        """Return the same with both ends farther out by a factor; an end at 0 stays."""
+        low = self.low / factor if self.low > 0 else self.low * factor
+        high = self.high * factor if self.high > 0 else self.high / factor
         return replace(self, low=low, high=high)
 
 
@@ -169,6 +171,17 @@ class Fit:
     def total(self) -> float:
         """Log-likelihood over the judged segments, with what was known beforehand [nats]."""
         return float(self.score.sum()) + self.prior
+
+    def alike(self, place: int) -> tuple[str, ...]:
+        """Return the parameters that do together what the one at this place does; none if the records tell it from them."""
+        told = self.information - np.diag(_knowledge(self.free, self.values)[1])
+        size = np.sqrt(np.maximum(np.diag(told), 1e-300))
+        told = told / np.outer(size, size)
+        others = [k for k in range(len(size)) if k != place]
+        does = np.linalg.pinv(told[np.ix_(others, others)], rcond=1e-9, hermitian=True) @ told[others, place]
+        if 1.0 - float(told[place, others] @ does) > SAME:
+            return ()
+        return tuple(self.free[k].name for k, x in zip(others, does, strict=True) if abs(x) > PART)
 
     @property
     def slopes(self) -> Array:

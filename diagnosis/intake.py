@@ -19,12 +19,13 @@ from bristle.model.table import Array, read_columns, si_column
 
 Entry = tuple[str, str, ArrayLike, ArrayLike, ArrayLike]
 
-SHORTEST = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz, and half are held out
+SHORTEST = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz
 BRIEFEST = 2.0  # s, likewise
 SMALLEST, LARGEST = 1e-30, 1e30  # SI: no rig gives less or more, and squares of such numbers are no numbers any more
 GAP = 3.5  # an interval of more than this many is a gap; shorter ones are bridged
 COPY = 1e-6  # of its range: columns that differ by less are one, written with more or fewer digits
-EPOCH = 1e6  # s: a time that starts above counts from 1970, not from the start
+LATE = 10.0  # s: a time that starts later counts from the first record: seen from afar, a drift is none that friction can have
+EPOCH = 1e6  # s: later still, it counts from 1970, and not with the records before
 
 
 def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list[Record]:
@@ -140,11 +141,12 @@ def _records(model: Model, entries: Iterable[Entry]) -> list[Record]:
             if all(map(_same, (raw.time, raw.u, raw.y), columns)):
                 raise raw.error(f"is the same as {other}; a copy is no second measurement: leave it out")
         before[where] = raw.time, raw.u, raw.y
-        if origin is None and len(raw.time) and abs(raw.time[0]) > EPOCH:
-            origin = float(raw.time[0])
-        if origin is not None and abs(raw.time[0]) > EPOCH:
+        begin = float(raw.time[0])
+        if origin is None or (not origin and abs(begin) > EPOCH):
+            origin = begin if abs(begin) > LATE else 0.0
+        if origin and abs(begin) > LATE:
             raw.time = raw.time - origin
-            raw.say(f"time starts at {origin:.0f} s; counted from the first record's first sample")
+            raw.say(f"time starts at {begin:.6g} s; counted from the first record's first sample")
         records += _pieces(model, raw)
     if not records:
         raise BristleError("no record is given; give at least one")

@@ -142,7 +142,7 @@ class Model:
 
     def unit(self, name: str) -> str:
         """Return the SI unit of a parameter of the servo, of the law or of any effect (``cogging.amplitude``)."""
-        return si_unit(_declared(self.friction)[name].unit, self.linear, self.input_kind)
+        return own_unit(_declared(self.friction)[name], self.linear, self.input_kind)
 
     def allowed(self, name: str) -> tuple[float, float]:
         """Return the least and the greatest value that such a parameter may have, SI."""
@@ -207,6 +207,14 @@ def si_unit(unit: str, linear: bool, kind: str) -> str:
         unit = re.sub(r"N\.m(?![A-Za-z0-9])", "N", unit)
         unit = re.sub(r"(?<![A-Za-z])rad", "m", unit)
     return re.sub(r"(?<![A-Za-z])V(?![A-Za-z])", INPUT_UNITS[kind], unit)
+
+
+def own_unit(parameter: Parameter, linear: bool, kind: str) -> str:
+    """Return the unit of a parameter on such a rig: the phase of a wave is an angle on a linear axis, too."""
+    name = parameter.name.rpartition(".")[2]
+    if linear and name == "periods":
+        return "rad/m"
+    return parameter.unit if name.startswith("phase") else si_unit(parameter.unit, linear, kind)
 
 
 def _declared(friction: str) -> dict[str, Parameter]:
@@ -334,7 +342,7 @@ def _full_name(key: str, name: str, value: object, where: Path | str, law: Frict
 
 def _number(key: str, value: object, parameter: Parameter, where: Path | str, linear: bool, kind: str) -> float:
     """Return a value in SI, which a bare number is already, inside the parameter's interval."""
-    unit = si_unit(parameter.unit, linear, kind)
+    unit = own_unit(parameter, linear, kind)
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
         raise mistake(where, key, value, f'must be a number [{unit}] or text such as "1 {unit}"; change the value')
     try:

@@ -14,7 +14,7 @@ from bristle.diagnosis.excitation import excitation
 from bristle.diagnosis.feed import SLOW
 from bristle.diagnosis.fit import Free, evaluate
 from bristle.diagnosis.lens import motion
-from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.modelfile import NO_LIMIT, Model
 from bristle.diagnosis.noise import Noise
 from bristle.diagnosis.record import Record
 from bristle.diagnosis.segments import BINS, SEGMENT, SMOOTH, Segments, cut, smooth
@@ -24,6 +24,7 @@ from bristle.model.errors import BristleError
 from bristle.plant.friction import law as find_law
 
 SHORTEST = 0.1  # s: in less, friction and inertia hardly show
+AWAY = 1.0  # of the motion's square: a model that misses more has run away
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
 SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
@@ -40,7 +41,7 @@ def bench_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT) 
     bins = length // width
     long = [r for r in records if len(r) >= 3 * length]
     if not long:
-        raise BristleError(f"records: none lasts three segments of {SEGMENT:g} s; give longer ones")
+        raise BristleError(f"records: none lasts three segments of {length * h:g} s; give longer ones")
     resolution = model.resolution or max(r.resolution or 0.0 for r in records)
     noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in long]))
     resolution = resolution or max(noise, 1e-12)
@@ -92,7 +93,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
 def fixed_values(h: float) -> dict[str, float]:
     """Return the settings of the simulation for a sampling period."""
     step = h / math.ceil(h / STEP - 1e-9)
-    return {"solver.friction_step": step, "solver.tolerance": TOLERANCE, "u_max": 1e6}
+    return {"solver.friction_step": step, "solver.tolerance": TOLERANCE, "u_max": NO_LIMIT}
 
 
 def base_of(model: Model, bench: Bench) -> tuple[Servo, dict[str, float]]:
@@ -126,14 +127,16 @@ def prepared(model: Model, records: Sequence[Record], bench: Bench) -> tuple[Ben
     A light servo in a stiff loop runs away from what was measured as soon as anything is missing; what it does then says
     nothing of what that is. Shorter segments do.
     """
-    seconds = SEGMENT
+    usual, asked = bench.segments.seconds, SEGMENT
     base = settle_well(bench, *base_of(model, bench))
-    while bench.missed(base.fit) > 1.0 and seconds / 2 >= SHORTEST:
-        seconds /= 2
-        bench = bench_of(model, records, seconds)
-        base = settle_well(bench, *base_of(model, bench))
-    line = f"the model runs away from these records within {SEGMENT:g} s: it was compared over {seconds:g} s at a time"
-    return bench, base, [line] if seconds < SEGMENT else []
+    while bench.missed(base.fit) > AWAY and asked / 2 >= SHORTEST:
+        asked /= 2
+        shorter = bench_of(model, records, asked)
+        if shorter.segments.seconds < bench.segments.seconds:
+            bench, base = shorter, settle_well(shorter, *base_of(model, shorter))
+    seconds = bench.segments.seconds
+    line = f"the model runs away from these records within {usual:.3g} s: it was compared over {seconds:.3g} s at a time"
+    return bench, base, [line] if seconds < usual else []
 
 
 def nominal_gap(bench: Bench, servo: Servo, values: Mapping[str, float]) -> float:

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from bristle.diagnosis.conclude import SEEN
-from bristle.diagnosis.figures import Rig, captions, improved
-from bristle.diagnosis.modelfile import si_unit
+from bristle.diagnosis.figures import Rig, as_given, captions, improved
 from bristle.diagnosis.remains import CERTAIN
 from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Named
 from bristle.diagnosis.story import STRAYS, on_axis, rounded, view_name
@@ -32,7 +31,7 @@ EXCITATION = {  # key -> how a person says it; the others read as they are
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict as a heading."""
     if diagnosis.proposals:
-        return "First mend the data"
+        return "First mend the data" if as_given(diagnosis) else "First widen the bounds"
     names = [effect.name for effect in diagnosis.effects]
     if diagnosis.verdict == "named":
         return f"The model lacks {_listed(names, 'and')}"
@@ -72,7 +71,7 @@ class _Writer:
         self.rig = rig
 
     def unit(self, text: str) -> str:
-        return unit(si_unit(text, self.rig.linear, self.rig.input_kind)) or "–"
+        return unit(text) or "–"
 
     def said(self, text: str) -> str:
         return escape(on_axis(text, self.rig.linear, self.rig.input_kind))
@@ -108,7 +107,7 @@ class _Writer:
         """Return the model's parameters: nominal, refitted, refitted with the effects."""
         model = diagnosis.model
         nominal = model.values if model is not None else {}
-        columns = {"refitted alone": diagnosis.base} if diagnosis.base and not diagnosis.proposals else {}
+        columns = {"refitted alone": diagnosis.base} if diagnosis.base else {}
         if diagnosis.effects:
             columns["refitted with " + _listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
         for name, found in diagnosis.choice_parameters.items():
@@ -157,8 +156,8 @@ def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
 
 def _gap_facts(diagnosis: Diagnosis) -> str:
     gap, facts = diagnosis.gap, []
-    if diagnosis.proposals:
-        return ""  # nothing was fitted
+    if as_given(diagnosis):
+        return ""
     if improved(diagnosis) and gap.after >= gap.before:
         return f"<p>On these stretches the error did not fall: {STRAYS}.</p>"
     most, least = ("at most ", "at least ") if diagnosis.remains.flag else ("", "")  # what is unexplained looks like noise
@@ -282,7 +281,9 @@ def render(
     lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in diagnosis.statement)
     alarms = _proposals(diagnosis) + "".join(f'<p class="alarm">{escape(note)}</p>' for note in notes)
     title = headline(diagnosis)
-    mark = badge("bad", "data") if diagnosis.proposals else badge(LOOKS[diagnosis.verdict], WORDS[diagnosis.verdict])
+    mark = badge(LOOKS[diagnosis.verdict], WORDS[diagnosis.verdict])
+    if diagnosis.proposals:
+        mark = badge("bad", "data" if as_given(diagnosis) else "bounds")
     following = _section("What to measure next", f"<p>{escape(diagnosis.experiment)}</p>" if diagnosis.experiment else "")
     settled = diagnosis.verdict in ("named", "none")  # else what to measure next is the answer
     parts = [

@@ -74,6 +74,11 @@ class Segments:
         return np.concatenate([piece.spread for piece in self.pieces])
 
     @property
+    def seconds(self) -> float:
+        """How long each lasts [s]."""
+        return self.bins * self.width * self.h
+
+    @property
     def judged(self) -> Mask:
         """False for the first segment of each record."""
         return np.concatenate([np.arange(len(piece.seen)) > 0 for piece in self.pieces])

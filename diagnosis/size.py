@@ -13,8 +13,13 @@ OUTLYING = 10.0  # of the upper quartile: where a segment counts no more, be it 
 
 
 def errors(fit: Fit, mask: NDArray[np.bool_]) -> list[Array]:
-    """Return the error of each segment, an array (bins,) each, start states at their best [output]."""
-    pairs = zip(fit.residual[mask], fit.raw_by_start[mask], strict=True)  # segments are few and short
+    """Return the error of each segment, an array (bins,) each, start states at their best [output].
+
+    Where the simulation failed it is that of a servo that stands still: no model may gain by failing.
+    """
+    seen = fit.simulator.segments.seen
+    lost = np.where(fit.good[:, None], fit.residual, seen - seen.mean(axis=1, keepdims=True))
+    pairs = zip(lost[mask], fit.raw_by_start[mask], strict=True)  # segments are few and short
     return [r - c @ np.linalg.lstsq(c, r, rcond=1e-9)[0] for r, c in pairs]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -79,17 +79,25 @@ def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, nam
     return " ".join(lines)
 
 
-def undetected(candidates: Sequence[Candidate], null: Null, base: float, named: Sequence[str], model: Model) -> dict[str, str]:
-    """Return for each effect that was not found how large it may be without being seen; `base` is the likelihood without it."""
+def undetected(
+    candidates: Sequence[Candidate], null: Null, base: float, told: Collection[str], model: Model, added: str = ""
+) -> dict[str, str]:
+    """Return for each effect that was not found how large it may be without being seen.
+
+    `base` is the likelihood without it, `told` are the effects that were found or are in a tie, `added` the one that was added
+    after these candidates were tried.
+    """
     found: dict[str, str] = {}
     for c in candidates:
-        if c.name in named:
+        if c.name in told:
             continue
         if c.fit is None:
             found[c.name] = c.refused
             continue
         gain = c.fit.total - base
         seen = f"something like it shows (gain {gain:.0f} nats), but too little of it, or nothing where it was not sought"
+        if added:
+            seen = f"before {added} was added it gained {gain:.0f} nats; beside that nothing shows it"
         found[c.name] = seen if gain > null.level(c.name) else _limit(c, null, model)
     return found
 
@@ -102,6 +110,8 @@ def _limit(c: Candidate, null: Null, model: Model) -> str:
     if c.fit is None or not proportional or strength.name not in [f.name for f in c.fit.free]:
         return f"tried, and no trace of it; {shows}"
     place = [f.name for f in c.fit.free].index(strength.name)
+    if others := c.fit.alike(place):
+        return f"these records cannot tell it from {', '.join(others)}; {shows}"
     spread = float(np.linalg.pinv(c.fit.information, rcond=1e-12, hermitian=True)[place, place])
     limit = math.sqrt(2 * null.level(c.name) * max(spread, 0.0))
     if not math.isfinite(limit) or limit == 0 or limit > min(strength.maximum, 1e5):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ RIDGE = 1e-3  # of a view's own power
 KNOTS = 9
 TONES = (0.2, 45.0)  # Hz
 PADDED = 4  # times the length: so fine is the grid of their frequencies
+DISTANT = 3.0  # times what they last in all: records of one clock that lie over a longer time lie far apart
 PERIODS = 60  # in a turn
 POINTS = 5000  # of the path, for them
 MEASURED = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
@@ -128,21 +130,37 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     }
 
 
-def spectrum(time: Array, rough: Array) -> tuple[Array, Callable[[Array], Array]]:
+def clocks(m: Motion) -> NDArray[np.int_]:
+    """Return for each sample (n,) the number of its clock: 0 where the records share one, else that of its record.
+
+    They do not if their times overlap, as those of files that each begin at 0 do; and how a tone goes on from one to the next
+    nobody can tell where they lie far apart.
+    """
+    ends = sorted((float(t[0]), float(t[-1])) for t in (m.time[m.record == k] for k in range(int(m.record.max()) + 1)))
+    apart = all(before[1] < after[0] for before, after in pairwise(ends))
+    together = apart and ends[-1][1] - ends[0][0] < DISTANT * sum(last - first for first, last in ends)
+    return np.zeros_like(m.record) if together else m.record
+
+
+def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array, Callable[[Array], Array]]:
     """Return frequencies (k,) [Hz] within `TONES` and what gives a torque's amplitudes (k,) there for signs (segments,).
 
-    Parameters: time and rough torque (segments, bins).
+    Parameters: time and rough torque (segments, bins), the clock of each segment. What has another clock has another phase:
+    its power is added.
     """
     step = float(np.median(np.diff(time, axis=1)))
-    place = np.rint((time - time.min()) / step).astype(int)
+    which, row = np.unique(clock, return_inverse=True)
+    first = np.array([time[row == k].min() for k in range(len(which))])
+    place = np.rint((time - first[row, None]) / step).astype(int)
     length = int(place.max()) + 1
     frequency = np.fft.rfftfreq(PADDED * length, step)
     inside = (frequency >= TONES[0]) & (frequency <= TONES[1])
 
     def amplitudes(signs: Array) -> Array:
-        even = np.zeros(length)
-        even[place] = signs[:, None] * rough
-        return np.asarray(np.abs(np.fft.rfft(even, PADDED * length))[inside])
+        even = np.zeros((len(which), length))
+        even[row[:, None], place] = signs[:, None] * rough
+        lines = np.abs(np.fft.rfft(even, PADDED * length, axis=1)[:, inside])
+        return np.asarray(np.sqrt(np.square(lines).sum(axis=0)))
 
     return np.asarray(frequency[inside]), amplitudes
 
@@ -151,11 +169,12 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, dic
     """Return waves whose frequency is chosen by the residual: in time and along the position, and what a `Share` says of them."""
     middle = _middle(lens, rough)
     r, theta = rough.ravel(), m.theta[middle]
-    frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), rough)
+    clock = clocks(m)
+    frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), clock[middle].reshape(rough.shape)[:, 0], rough)
     tone = float(frequency[int(np.argmax(amplitudes(np.ones(len(rough)))))])
-    found: dict[str, tuple[Array, dict[str, Any]]] = {
-        "tone": (_waves(2 * np.pi * tone * m.time, 1), {"label": f"{tone:.3g} Hz", "frequency": tone})
-    }
+    own = [(clock == k)[:, None] * _waves(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)]
+    told = {"label": f"{tone:.3g} Hz"} | ({"frequency": tone} if len(own) == 1 else {})  # one phase, so that it can be drawn
+    found: dict[str, tuple[Array, dict[str, Any]]] = {"tone": (np.column_stack(own), told)}
     turns = np.arange(1.0, PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)
@@ -175,7 +194,7 @@ def _middle(lens: Lens, rough: Array) -> NDArray[np.int_]:
     return np.arange(rough.size * skip).reshape(-1, skip)[:, skip // 2]
 
 
-def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dict[str, Array] | None = None) -> list[Share]:
+def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array) -> list[Share]:
     """Return the views with their shares, the strongest first; stretches that stand out come last.
 
     A view's function is fitted on four fifths of the segments, and its p is how often the strongest of all views
@@ -187,14 +206,15 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     live = np.flatnonzero(lens.weight > 0)
     rng = np.random.default_rng(2)
     signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(FLIPS, len(live)))])
-    told, tables = {}, dict(made if made is not None else bases(m, h, step))
+    told, tables = {}, bases(m, h, step)
     for view, (waves, facts) in _searched(lens, m, rough).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
         told[view] = facts
     found = {view: _predicted(lens, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
     ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
-    highest = line_p(m.time[_middle(lens, rough)].reshape(rough.shape)[live], rough[live], signs)
+    middle = _middle(lens, rough).reshape(rough.shape)[live]
+    highest = line_p(m.time[middle], clocks(m)[middle[:, 0]], rough[live], signs)
     ps["tone"] = max(ps["tone"][0], highest), max(ps["tone"][1], highest)
     whole = float(np.square(lens.plain(lens.rest[live][:, :, None], live)).mean())
     result = []
@@ -205,7 +225,7 @@ def shares(lens: Lens, m: Motion, h: float, step: float, rough: Array, made: dic
     return [*sorted(result, key=lambda each: -each.share), _outbreaks(lens, m, live)]
 
 
-def line_p(time: Array, rough: Array, signs: Array) -> float:
+def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> float:
     """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
 
     Each draw finds its own frequency, as the data did. Where that is often it is known early, and the other draws are
@@ -213,7 +233,7 @@ def line_p(time: Array, rough: Array, signs: Array) -> float:
 
     Source: besag1991 (sequential Monte Carlo p-values).
     """
-    _, amplitudes = spectrum(time, rough)
+    _, amplitudes = spectrum(time, clock, rough)
     seen, higher = amplitudes(signs[0]).max(), 0
     for drawn, each in enumerate(signs[1:], 1):
         higher += bool(amplitudes(each).max() >= seen)

@@ -23,7 +23,6 @@ from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
 from bristle.diagnosis.record import Record
 from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import Tell, search
-from bristle.diagnosis.size import mean_square
 from bristle.model.errors import BristleError
 
 
@@ -99,7 +98,7 @@ def must_be(model: Model, records: Sequence[Record]) -> None:
 def mend_first(
     model: Model, records: Sequence[Record], said: Plausibility, gap: float, seconds: float, lines: Sequence[str] = ()
 ) -> answer.Diagnosis:
-    """Return a diagnosis that names nothing, because data and model do not speak of the same thing.
+    """Return a diagnosis that looked for nothing, because data and model do not speak of the same thing.
 
     `gap` is the mean squared error of the model as it is [output squared]; `lines` are findings to begin with.
     """
@@ -118,8 +117,12 @@ def examine(model: Model, records: Sequence[Record], bench: Bench, base: Stage, 
     """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
     final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
     if final.servo.effects != base.servo.effects and (line := better_unbound(model, bench, base, final)):
-        said = Plausibility((line,), ())
-        return mend_first(model, records, said, mean_square(base.fit, bench.held), time.perf_counter() - begun)
+        given = replace(rounds[0], named=False, withdrawn=True, decision="what was found only makes up for bounds")
+        found = conclude(model, records, bench, base, base, [given], begun)
+        return replace(
+            found, verdict="not_identifiable", statement=(f"What was found only makes up for bounds. Proposed: {line}.",),
+            ties=(), experiment="", choices={}, choice_parameters={}, proposals=(line,),
+        )  # fmt: skip
     tell("what remains", 0.85)
     if bench.narrow and final is not base and _in_part(model, bench, base, final):
         why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too uniform a motion to name it"

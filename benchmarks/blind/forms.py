@@ -52,6 +52,17 @@ CLASSES = {
 }
 
 
+TAKEN = {  # other forms that an effect of the catalogue can take as well, by a parameter of its form; of these kinds only
+    "gravity": None, "eccentric_encoder": None, "position_friction": None, "friction_drift": None, "compliance": None,
+    "backlash": None, "hard_stop": 1.0, "stribeck": 1.0,
+}  # fmt: skip
+
+
+def can_be_taken(name: str, fields: Fields) -> bool:
+    """Return whether the other form that was drawn of an effect is one that the catalogue can take."""
+    return name in TAKEN and TAKEN[name] in (None, fields.get(f"{name}_kind"))
+
+
 def class_of(name: str) -> str:
     """Return the class of an effect: alone, unless data may not tell it from another."""
     return CLASSES.get(name, name)

@@ -29,7 +29,9 @@ from score import SINGLE, Judged
 
 TARGET = Path(__file__).resolve().parents[1] / "results" / "refused.md"
 GROUPS = (*SINGLE, "pair")
-STANDS = ("not beyond chance", "behind another", "led and refused", "in a tie", "no round left", "named, one too many")
+STANDS = (
+    "not looked for", "not beyond chance", "behind another", "led and refused", "in a tie", "no round left", "named, one too many",
+)  # fmt: skip
 
 
 def refused(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[float, ...]]]:
@@ -47,7 +49,10 @@ def refused(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[floa
 
 def stood(judged: Judged) -> str:
     """Return where the best of the missing effects stood in the last round: one of `STANDS`."""
-    missing, last = set(judged.missed), judged.result["rounds"][-1]
+    missing = set(judged.missed)
+    if not judged.result["rounds"]:
+        return "not looked for"
+    last = judged.result["rounds"][-1]
     if not missing:
         return "named, one too many"
     if judged.tied & missing:

@@ -113,8 +113,18 @@ def diagnose_all(out: Path, jobs: int) -> None:
     """Diagnose the cases without a result, in an order that makes those done at any time a fair sample."""
     if not (out / "answers.sha256").exists():
         raise SystemExit("the answers are not sealed yet; run generate to its end")
+    stamp(out)
     order = sorted((out / "cases").iterdir(), key=lambda f: hashlib.sha256(f.name.encode()).hexdigest())
     go_on(diagnose_one, [(f, out / "results" / f"{f.name}.json") for f in order], jobs, "diagnose")
+
+
+def stamp(out: Path) -> None:
+    """Note which code the results of a folder are of; raise an error if they are of another."""
+    code = _git("rev-parse", "HEAD") + (" with changes" if _git("status", "--porcelain") else "")
+    path = out / "code.txt"
+    if path.exists() and path.read_text(encoding="utf-8") != code:
+        raise SystemExit(f"{out} holds results of code {path.read_text(encoding='utf-8')}, this is {code}; give another folder")
+    path.write_text(code, encoding="utf-8")
 
 
 def answered(out: Path) -> list[tuple[Any, Any]]:
@@ -148,6 +158,7 @@ def publish(out: Path | None, jobs: int, scale: float) -> None:
     generate(commit, out, scale, jobs, ())
     seal_line = hashlib.sha256((out / "answers.sha256").read_bytes()).hexdigest()
     diagnose_all(out, jobs)
+    stamp(out)  # still the same
     head = f"Commit {commit}, which seeds every case; sha256 of the sealed answers' list: {seal_line}.\n"
     figures, others = score_all(out)
     PUBLISHED.write_text(f"# Blind test\n\n{head}\n{figures}\n\n{others}", encoding="utf-8")

@@ -27,7 +27,8 @@ def effect(name: str, **parameters: float) -> Json:
 def answer(group: str, *effects: Json, variant: str | None = None, ratio: float = 5.0) -> Json:
     kind = {"same": "single", "other": "single", "low": "single", "faint": "single"}.get(group, group)
     gap = {"base": ratio, "floor": 1.0, "ratio": ratio}
-    return {"kind": kind, "group": group, "variant": variant, "effects": list(effects), "gap": gap, "rejected": []}
+    return {"kind": kind, "group": group, "variant": variant, "effects": list(effects), "gap": gap, "rejected": [],
+            "fields": {}}  # fmt: skip
 
 
 def result(verdict: str, *effects: Json, flag: bool = False, ties: list[list[str]] | None = None) -> Json:
@@ -116,6 +117,23 @@ def test_a_name_of_the_same_class_is_right_but_not_strictly() -> None:
     assert not case.strict
     assert not Judged(answer("same", BIAS), result("named", BIAS, GRAVITY)).right
     assert Judged(answer("same", BIAS), result("tie", BIAS)).named == []  # a tie names nothing
+
+
+def test_other_forms_are_counted_apart_by_whether_the_catalogue_can_take_them() -> None:
+    stop = effect("hard_stop", stiffness=1.0)
+    drawn = [(GRAVITY, {}), (COGGING, {}), (stop, {"hard_stop_kind": 1.0}), (stop, {"hard_stop_kind": 2.0})]
+    pairs = [(answer("other", e) | {"fields": fields}, result("none")) for e, fields in drawn]
+    found = {f.name: f for f in figures([Judged(*pair) for pair in pairs])}
+    for words in ("the catalogue can take", "it cannot take"):
+        assert found[f"of these, a form that {words}"].count == 2
+
+
+def test_one_of_two_is_in_part_and_none_is_no_help_on_poor_records() -> None:
+    assert Judged(answer("pair", GRAVITY, COGGING), result("named", COGGING)).outcome == "in part"
+    silent = result("none") | {"experiment": "record steps of many sizes"}
+    pairs = [(answer("poor", GRAVITY), silent)]
+    found = {f.name: f for f in figures([Judged(*pair) for pair in pairs])}
+    assert found["poor: neither named, tied nor called not identifiable"].count == 1
 
 
 def test_the_class_is_the_scorers_own() -> None:

@@ -174,13 +174,13 @@ def tie() -> Diagnosis:
         experiment="Add a rest phase of 2 s with a slowly rising input in both directions: a bias moves the two thresholds alike, "
         "asymmetric friction moves them apart.",
         where=(View("direction", 0.34, 0.001, 0.01, 0.5), velocity_view(0.22)),
-        gap=Gap(1.9e-6, 1.2e-7, 1.0e-7, "rad"),
+        gap=Gap(1.9e-6, 1.9e-6, 1.0e-7, "rad"),
         rounds=(Round(candidates, 9.5, 0.001, None, "bias and asymmetric_coulomb tie: 1 % between their gains"),),
         parameters={}, choices={
             "bias": {"torque": estimate(0.02, "N.m", 2)}, "asymmetric_coulomb": {"share": estimate(0.165, "1", 3)},
         },
         choice_parameters={"bias": parameters, "asymmetric_coulomb": parameters},
-        traces=(trace("run_1.csv", 1, lambda theta, t: 0.02),),
+        traces=(trace("run_1.csv", 1, lambda theta, t: 0.02, explained=False),),
     )  # fmt: skip
 
 
@@ -209,8 +209,8 @@ def not_identifiable() -> Diagnosis:
         effects=(), where=(), remains=Remains(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m"),
         experiment="Move at three speeds or more, with reversals, over 50 mm.",
         base={
-            "J": estimate(6.0, "kg.m2", at_bound=True), "a2": estimate(7.0, "N.m.s/rad", 80),
-            "coulomb.Fc": estimate(3.4, "N.m", 40),
+            "J": estimate(6.0, "kg", at_bound=True), "a2": estimate(7.0, "N.s/m", 80),
+            "coulomb.Fc": estimate(3.4, "N", 40),
         },
         parameters={}, rounds=(), undetected={},
         excitation={
@@ -231,7 +231,7 @@ def proposals() -> Diagnosis:
             "run_1.csv, column u: the acceleration answers to −u (correlation −0.94); turn its sign, or that of theta.",
             "run_1.csv, column theta: speeds of 344 rad/s from 0.4 N.m; it looks like degrees: write unit = \"deg\".",
         ),
-        where=(), rounds=(), undetected={}, experiment="", gap=Gap(4.1, 4.1, None, "rad"),
+        where=(), rounds=(), undetected={}, base={}, experiment="", gap=Gap(4.1, 4.1, None, "rad"),
     )  # fmt: skip
 
 

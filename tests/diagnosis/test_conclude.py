@@ -12,6 +12,7 @@ from bristle.diagnosis.conclude import choices_of, known_floor, mute_parameters,
 from bristle.diagnosis.judge import Verdict
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.result import Estimate, Gap, Remains
+from bristle.diagnosis.story import undetected
 
 UNIFORM = "one oscillation"
 QUIET, LEFT = Remains(False, None, 0.0), Remains(True, "theta", 0.5)
@@ -78,6 +79,19 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
     assert names([first, second, last], (), ("bias", "gravity")) == []  # gravity was fitted beside the bias
     assert names([first, last], (), ("gravity",)) == []  # the bias was dropped later
     assert names([last], (), ()) == []
+
+
+def test_what_was_found_or_ties_is_not_told_as_undetected(case) -> None:
+    """And what gained before another was added shows no more beside that."""
+    stage = case(None).base
+    tried = [Candidate(name, stage.fit) for name in ("bias", "gravity", "cogging")]
+    null, model = Null(np.zeros(1), {}), case(None).model
+    told = undetected(tried, null, stage.fit.total - 50, ("bias",), model)
+    assert list(told) == ["gravity", "cogging"]
+    assert "something like it shows (gain 50 nats)" in told["gravity"]
+    assert undetected(tried, null, stage.fit.total - 50, ("bias", "gravity"), model, "bias") == {
+        "cogging": "before bias was added it gained 50 nats; beside that nothing shows it"
+    }
 
 
 def test_no_noise_floor_is_given_where_it_is_not_known():

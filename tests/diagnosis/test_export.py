@@ -267,6 +267,17 @@ def test_a_class_mate_takes_the_place_of_what_was_named(answer):
     assert export.augment(replace(named, **open_), "cogging") == export.augment(named)  # what was named already
 
 
+def test_a_tie_that_is_left_after_a_name_can_be_chosen_from(answer):
+    named, tie = answer("named"), answer("tie")
+    beside = {"J": Estimate(0.0107, "kg.m2", None), "cogging.amplitude": Estimate(0.051, "N.m", None)}
+    left = {"ties": tie.ties, "choices": tie.choices, "choice_parameters": dict.fromkeys(tie.choices, beside)}
+    chosen = export.augment(replace(named, **left), "bias")
+    assert set(chosen.effects) == {"cogging", "bias"}
+    assert chosen.parameters["cogging.amplitude"] == 0.051  # as it is beside what was chosen
+    assert chosen.parameters["cogging.periods"] == 7.0
+    assert export.augment(replace(named, **left)).effects == ("cogging",)
+
+
 def test_a_class_mate_of_what_others_were_added_to_cannot_be_chosen(answer):
     with pytest.raises(BristleError, match=r"'cogging' stands for it, .* leave it out, or give the model 'gravity'"):
         export.augment(replace(answer("named"), ties=(("cogging", "gravity"),)), "gravity")

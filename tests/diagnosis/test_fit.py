@@ -23,6 +23,7 @@ from bristle.diagnosis.fit import (
 )
 from bristle.diagnosis.intervals import covariance
 from bristle.diagnosis.search import look
+from bristle.diagnosis.size import squares
 
 TRUE = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
 HIDDEN = {  # effect: (parameters it was simulated with, largest error relative to them)
@@ -302,3 +303,49 @@ def test_start_states_that_do_the_same_are_moved_by_what_is_known_of_them(size):
     shape = by_start[0, :, 0]
     best = np.ones(50) - shape * (shape.sum() / (shape @ shape))
     np.testing.assert_allclose(left[0], best, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("ends", "stuck", "free", "wider"),
+    [
+        ((-0.02, -0.002), (-0.02, -0.002), (-0.01,), (-0.1, -0.0004)),
+        ((-0.02, 0.02), (-0.02, 0.02), (0.0, 0.01), (-0.1, 0.1)),
+        ((0.0, 2.0), (0.0, 2.0), (1.0,), (0.0, 10.0)),
+        ((1.0, np.inf), (1.0,), (2.0, 1e300), (0.2, np.inf)),
+        ((-np.inf, 3.0), (3.0,), (-1e300, 0.0), (-np.inf, 15.0)),
+    ],
+)
+def test_ends_of_an_interval_of_either_sign(ends, stuck, free, wider):
+    f = Free("b", *ends)
+    assert all(f.stuck(value) for value in stuck)
+    assert not any(f.stuck(value) for value in free)
+    assert (f.widened(5.0).low, f.widened(5.0).high) == pytest.approx(wider)
+
+
+def test_a_segment_whose_simulation_failed_is_no_perfect_one(case):
+    bench, fit = case(None).bench, case(None).base.fit
+    one = int(np.flatnonzero(bench.held)[0])
+    lost = fit.good.copy()
+    lost[one] = False
+    kept = fit.raw_by_start * lost[:, None, None]
+    failed = replace(fit, good=lost, residual=np.where(lost[:, None], fit.residual, 0.0), raw_by_start=kept)
+    before, after = squares(fit, bench.held), squares(failed, bench.held)
+    assert after[0] == pytest.approx(float(np.var(bench.segments.seen[one])))
+    assert after[0] > 10 * before[0]
+    np.testing.assert_array_equal(after[1:], before[1:])
+
+
+def test_what_the_model_can_do_by_itself_is_told(case):
+    """Back EMF is viscous friction by another name; gravity is nothing else."""
+    for name, others in (("back_emf", ("a2",)), ("gravity", ())):
+        fit = joined(case(None), name).fit
+        assert fit is not None
+        place = [f.name for f in fit.free].index(f"{name}.constant" if name == "back_emf" else f"{name}.amplitude")
+        assert fit.alike(place) == others
+
+
+def test_a_motion_of_nothing_is_missed_and_no_error(case):
+    bench, fit = case(None).bench, case(None).base.fit
+    pieces = tuple(replace(piece, seen=0 * piece.seen) for piece in bench.segments.pieces)
+    still = replace(bench, segments=replace(bench.segments, pieces=pieces))
+    assert still.missed(fit) > 1.0

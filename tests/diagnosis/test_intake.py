@@ -49,12 +49,12 @@ def only(record, *words):
 
 def test_a_good_record_is_not_touched(model):
     t, u, y = motion()
-    record = one(model, t + 17.0, u, counts(y))
+    record = one(model, t + 7.0, u, counts(y))
     assert isinstance(record, Record)
     assert record.findings == ("the output moves in steps of 0.00153 rad (4096 a turn)",)
     assert record.name == "run"
     assert record.h == pytest.approx(H, rel=1e-12)
-    np.testing.assert_allclose(record.time, t + 17.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(record.time, t + 7.0, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(record.u, u)
     np.testing.assert_array_equal(record.y, counts(y))
     assert record.resolution == pytest.approx(STEP, rel=1e-6)
@@ -167,6 +167,10 @@ def test_time_of_the_day_is_counted_from_the_first_record(model):
     assert records[0].time[0] == 0.0
     assert records[1].time[0] == pytest.approx(60.0)
     assert "counted from the first record" in records[0].findings[0]
+    logger = records_from_arrays(model, [("a", t + 500, u, y), ("b", t + 560, u, y), ("c", t, u, -y)])
+    assert [record.time[0] for record in logger] == pytest.approx([0.0, 60.0, 0.0])  # the last has a clock of its own
+    mixed = records_from_arrays(model, [("a", t, u, y), ("b", t + start, u, y)])
+    assert [record.time[0] for record in mixed] == pytest.approx([0.0, 0.0])
     later = records_from_arrays(model, [("a", t, u, y), ("b", t + 60, u, y)])
     assert later[1].time[0] == pytest.approx(60.0)
     assert later[1].findings == ()

@@ -80,6 +80,11 @@ def test_a_linear_axis(tree):
         "kg", "N.s/m", "N/V", "N", "N", "m"
     ]  # fmt: skip
     assert model.output_unit == "m"
+    tree["effects"] = {"cogging": {"amplitude": "3 N", "phase": "90 deg", "periods": "250 rad/m"}}
+    model = Model.from_dict(tree)
+    assert [model.unit(f"cogging.{p}") for p in ("amplitude", "phase", "periods", "phase2")] == ["N", "rad", "rad/m", "rad"]
+    assert model.effects["cogging"]["phase"] == pytest.approx(np.pi / 2)
+    assert model.effects["cogging"]["periods"] == 250.0
 
 
 @pytest.mark.parametrize("kind", ["voltage", "current"])

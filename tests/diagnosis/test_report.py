@@ -228,7 +228,7 @@ def test_the_units_follow_the_input(answer, fabricated):
     driven = fabricated.model(
         parameters={"J": 0.01, "a2": 0.02, "b": 0.5, "Fc": 0.1}, input={"column": "i", "kind": "current", "unit": "A"}
     )
-    zone = Named("dead_zone", "dead_zone", {"width": Estimate(0.3, "V", (0.28, 0.32))}, 50.0, 0.001)
+    zone = Named("dead_zone", "dead_zone", {"width": Estimate(0.3, driven.unit("dead_zone.width"), (0.28, 0.32))}, 50.0, 0.001)
     text = text_of(page_of(replace(answer("named"), model=driven, effects=(zone,))))
     assert "0.300 ± 0.020 A" in text
 

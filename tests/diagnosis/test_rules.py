@@ -14,11 +14,13 @@ from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, Servo, besid
 from bristle.diagnosis.candidates import Test as Worth
 from bristle.diagnosis.fit import Free
 from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged, matters
+from bristle.diagnosis.lens import Motion
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.prepare import base_of
 from bristle.diagnosis.search import amiss, considered, extend, look, mends_form, search, worth_adding
 from bristle.diagnosis.size import acting_fall, fall
-from bristle.diagnosis.views import FLIPS, line_p
+from bristle.diagnosis.views import FLIPS, clocks, line_p, spectrum
+from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect, effects
 
 LEVEL = 20.0
@@ -108,7 +110,7 @@ def spectrum_p(seed: int, tone: float) -> float:
     slow = np.cumsum(rng.standard_normal((60, 50)), axis=1)
     slow -= slow.mean(axis=1, keepdims=True)
     signs = np.concatenate([np.ones((1, 60)), rng.choice([-1.0, 1.0], (FLIPS // 5, 60))])
-    return line_p(time, slow + tone * np.sin(2 * np.pi * 3.1 * time), signs)
+    return line_p(time, np.zeros(60, dtype=int), slow + tone * np.sin(2 * np.pi * 3.1 * time), signs)
 
 
 def test_a_tone_is_one_among_the_highest_lines_that_chance_finds():
@@ -116,6 +118,56 @@ def test_a_tone_is_one_among_the_highest_lines_that_chance_finds():
     chance = [spectrum_p(seed, 0.0) for seed in range(1, 21)]
     assert sum(p < 0.1 for p in chance) <= 5  # 2 of 20 by chance
     assert np.mean(chance) == pytest.approx(0.5, abs=0.2)
+
+
+def moved(*begins: float) -> Motion:
+    """A motion of records of 20 s that begin at such times."""
+    time = np.concatenate([begin + 0.008 * np.arange(2500) for begin in begins])
+    still = np.zeros(len(time))
+    return Motion(still, still, still, still, time, still > 0, np.repeat(np.arange(len(begins)), 2500))
+
+
+@pytest.mark.parametrize(
+    ("begins", "count"), [((0, 25), 1), ((0, 0), 2), ((0, 3600), 2), ((500, 25, 525), 3), ((30, 0), 1), ((7,), 1)]
+)
+def test_records_share_a_clock_if_they_lie_one_after_the_other(begins, count):
+    assert len(np.unique(clocks(moved(*begins)))) == count
+
+
+@pytest.mark.parametrize("shown", [0, 1])
+def test_a_tone_of_one_record_is_seen_whichever_record_begins_at_the_same_time(shown):
+    m = moved(0, 0)
+    time, clock = m.time.reshape(100, 50), clocks(m).reshape(100, 50)[:, 0]
+    rough = np.sin(2 * np.pi * 3.1 * time) * (clock == shown)[:, None] + np.random.default_rng(5).standard_normal(time.shape)
+    frequency, amplitudes = spectrum(time, clock, rough)
+    assert frequency[np.argmax(amplitudes(np.ones(100)))] == pytest.approx(3.1, abs=0.02)
+    signs = np.concatenate([np.ones((1, 100)), np.random.default_rng(6).choice([-1.0, 1.0], (FLIPS // 5, 100))])
+    assert line_p(time, clock, rough, signs) < 0.01
+
+
+def test_a_step_is_looked_for_where_there_are_records():
+    time = np.concatenate([np.arange(0.0, 20.0, 0.1), np.arange(3600.0, 3620.0, 0.1)])
+
+    def regress(torques):
+        gain = 1.0 / (1.0 + abs(float(time[np.argmax(torques[:, 0] > 0)]) - 7.0))
+        return np.array([1.0]), gain
+
+    e = SimpleNamespace(time=time, best=Evidence.best, regress=regress)
+    e.best = lambda *given: Evidence.best(e, *given)
+    assert effect("disturbance_step").starts(e)[0]["onset"] == pytest.approx(7.0, abs=1.0)
+
+
+def test_something_is_kept_from_the_search_of_the_shortest_record(case):
+    """Five segments of which the only one to keep holds an end of the range, and two, of which none is the fourth."""
+    bench = case(None).bench
+    length = len(bench.motion.theta) // len(bench.segments.judged)
+    for count in (5, 2):
+        piece = bench.segments.pieces[0]
+        piece = replace(piece, u=piece.u[: count * length], **{k: getattr(piece, k)[:count] for k in ("seen", "starts", "spread")})
+        theta, u = np.zeros(count * length), np.zeros(count * length)
+        theta[min(3, count - 1) * length] = 1.0
+        short = replace(bench, segments=replace(bench.segments, pieces=(piece,)), motion=replace(bench.motion, theta=theta, u=u))
+        assert short.held.tolist() == [k == min(3, count - 1) for k in range(count)]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bristle.cli import main as cli
-from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
+from bristle.diagnosis import Model, diagnose, fmu_model, prepare, records_from_arrays, write
 from bristle.diagnosis.modelfile import write_model
 from bristle.diagnosis.workflow import retried, teller
 from bristle.fmus import build
@@ -48,6 +48,7 @@ def call(
         assert isinstance(done.value.code, int)
         answer = out / "diagnosis.json"
         content = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
+        content["page"] = (out / "report.html").read_text(encoding="utf-8") if content else ""
         return done.value.code, content | {"files": sorted(p.name for p in out.glob("*"))}, capsys.readouterr().err
 
     yield run
@@ -140,6 +141,11 @@ def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(call: C
     assert (answer["verdict"], answer["effects"]) == ("not_identifiable", [])
     [proposal] = answer["proposals"]
     assert re.search(r"J near 0\.0(099\d|10) kg\.m2, outside its bounds \[0\.007, 0\.009\]", proposal)
+    assert answer["rounds"]  # effects were looked for
+    assert answer["statement"][0].startswith("What was found only makes up for bounds. Proposed: wider bounds")
+    assert answer["gap"]["before"] == answer["gap"]["after"]
+    assert "First widen the bounds" in answer["page"]
+    assert "took no part in the search" in answer["page"]
     assert answer["files"] == ["diagnosis.json", "report.html"]
 
 
@@ -186,6 +192,19 @@ def test_a_linear_axis_has_nothing_that_turns(measured: Callable[..., Any], tree
     assert refused["gravity"] == refused["eccentric_encoder"] == "needs a shaft that turns: this axis is linear"
     assert found.undetected["gravity"] == refused["gravity"]
     assert not any("in a turn" in view.label for view in found.where)
+
+
+def test_a_model_that_runs_away_is_compared_over_shorter_stretches_if_there_are_any(
+    measured: Callable[..., Any], model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(prepare, "AWAY", -1.0)
+    t, u, y, _ = measured("gravity", 1)
+    for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest stretch
+        records = records_from_arrays(model, [("r", t[::every], u[::every], y[::every])])
+        bench, _, lines = prepare.prepared(model, records, prepare.bench_of(model, records))
+        assert bench.segments.seconds == pytest.approx(seconds)
+        assert [line for line in lines if f"over {seconds:g} s at a time" in line] == lines
+        assert len(lines) == (every == 1)
 
 
 LUGRE = {"sigma0": 100.0, "sigma1": 0.5, "Fc": 0.12, "Fs": 0.15, "vs": 0.2}
