@@ -47,7 +47,7 @@ class Bench:
     motion: Motion
     resolution: float
     least: float
-    narrow: str = ""  # why the motion is too uniform to tell effects apart by their form
+    narrow: str = ""  # why the records are too poor to tell effects apart by their form
     barred: Mapping[str, str] = field(default_factory=dict)
     linear: bool = False  # the axis does not turn
     turn: float = 2 * math.pi

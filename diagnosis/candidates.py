@@ -263,7 +263,7 @@ def worth(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
     """Return the log-likelihood that a step from here promises, and the fit, under the noise that it leaves."""
     problem = quiet(fit)
     fit = rescored(problem, fit)
-    return fit.total + promise(problem, fit), fit
+    return fit.total + promise(fit), fit
 
 
 def _reached(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:

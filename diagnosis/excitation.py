@@ -21,6 +21,8 @@ LINE = 0.9  # share of the power within a narrow band that makes a motion one os
 RESOLVED = 5  # periods within a record that tell a tone from any slow motion
 DWELL = 0.05  # s in one direction between reversals, so that noise does not reverse
 HALF_TURN = float(np.pi)
+COARSE = 0.02  # s: an input that changes between samples so far apart is hardly known (at 16 ms no name of 12 was wrong)
+SHORT = 5.0  # s in all: of less, two or three stretches are all that can be kept from the search to prove an effect
 BENT = float(np.pi / 2)  # a sine over a shorter range is nearly a straight line
 
 
@@ -80,19 +82,24 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         gain = model.parameters["b"]
         ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
         numbers["torque_range"] = {"lowest": ends[0], "highest": ends[1], "unit": "N" if model.linear else "N.m"}
-    numbers["narrow"] = _narrow(model, numbers)
+    numbers["narrow"] = _narrow(model, records, numbers)
     numbers["caveats"] = [*_caveats(model, numbers), *_beside(model, records)]
     return numbers
 
 
-def _narrow(model: Model, numbers: dict[str, Any]) -> str:
+def _narrow(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> str:
     """Return why effects cannot be told apart by their form on such records, or an empty text.
 
     Where the servo repeats one motion or hardly turns, speed, position and torque vary together, and nearly any effect
-    can take the place of another that has not quite the form the catalogue gives it.
+    can take the place of another that has not quite the form the catalogue gives it; and so it can where little was recorded.
     """
     if numbers["speed_dominant_tone_share"] > LINE:
         return "the servo repeats one oscillation; record steps of many sizes, a slow pass over several turns and a sweep"
+    period = numbers["sampling_period"]["value"]
+    if period > COARSE and any(record.ahead for record in records):
+        return f"the input changes between samples that are {1e3 * period:.3g} ms apart; log it as often as the drive sets it"
+    if numbers["duration"]["value"] < SHORT:
+        return f"the records last {numbers['duration']['value']:.3g} s in all; record 20 s or more"
     if not model.linear and numbers["range_travelled"]["value"] < BENT:
         return "the servo moves less than a quarter turn; record fast and slow motion over several turns"
     return ""

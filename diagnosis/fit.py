@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -173,10 +173,11 @@ class Fit:
         return float(self.score.sum()) + self.prior
 
     def alike(self, place: int) -> tuple[str, ...]:
-        """Return the parameters that do together what the one at this place does; none if the records tell it from them."""
-        told = self.information - np.diag(_knowledge(self.free, self.values)[1])
-        size = np.sqrt(np.maximum(np.diag(told), 1e-300))
-        told = told / np.outer(size, size)
+        """Return the parameters that do together what the one at this place does; none if that is not known, or none does."""
+        if not (np.diag(self.information) > 0).all():  # derivatives of a load that rattles: more rounding than number
+            return ()
+        size = np.sqrt(np.diag(self.information))
+        told = (self.information - np.diag(_knowledge(self.free, self.values)[1])) / np.outer(size, size)
         others = [k for k in range(len(size)) if k != place]
         does = np.linalg.pinv(told[np.ix_(others, others)], rcond=1e-9, hermitian=True) @ told[others, place]
         if 1.0 - float(told[place, others] @ does) > SAME:
@@ -200,7 +201,6 @@ class Problem:
     seen: Array
     starts: Array
     spread: Array
-    damping: float = field(default=DAMPING)
 
     def only(self, mask: Mask) -> Problem:
         """Return the same with other segments judged."""
@@ -315,9 +315,9 @@ def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
     return step, back, promise
 
 
-def promise(problem: Problem, fit: Fit) -> float:
+def promise(fit: Fit) -> float:
     """Return the gain that a step from here promises [nats]."""
-    return _direction(fit, problem.damping)[2]
+    return _direction(fit, DAMPING)[2]
 
 
 def moved(free: tuple[Free, ...], values: Mapping[str, float], step: Array) -> dict[str, float]:
@@ -348,7 +348,7 @@ def refit(
     Source: lange1989 (robust regression by the t distribution), golub2003 (elimination of start states).
     """
     begin = {**values, **{f.name: f.inside(values[f.name]) for f in free}}
-    fit, damping = first or evaluate(problem, simulator, free, begin, starts), problem.damping
+    fit, damping = first or evaluate(problem, simulator, free, begin, starts), DAMPING
     trust, failed = np.ones(len(starts)), 0
     for _ in range(iterations):
         step, back, promise = _direction(fit, damping)

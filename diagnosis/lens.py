@@ -92,13 +92,12 @@ class Lens:
         coefficients = np.linalg.solve(normal, slope)
         return coefficients, float(0.5 * slope @ coefficients)
 
-    def torque(self, fit: Fit) -> Array:
-        """Return the most likely torque (segments, bins * width) [N.m] behind the residual of a fit.
+    def torque(self) -> Array:
+        """Return the most likely torque (segments, bins * width) [N.m] behind the residual.
 
         The mean of a Gaussian torque of the noise's colour, given the residual. Source: rasmussen2006 eq. (2.25).
         """
         h, n = self._h, self.shape[1]
         memory = np.exp(-2 * np.pi * self.noise.corner * h * np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
         spread = max(self.noise.torque, 1e-30) ** 2
-        free = self.freed(fit.white[:, :, None])[:, :, 0]
-        return np.asarray(free @ (self.noise.whiten @ self._pulses @ memory * spread))
+        return np.asarray(self.rest @ (self.noise.whiten @ self._pulses @ memory * spread))

@@ -133,7 +133,7 @@ class Model:
     @property
     def output_unit(self) -> str:
         """SI unit of the output."""
-        return ("m" if self.linear else "rad") + ("/s" if self.output_kind == "velocity" else "")
+        return _output_unit(self.output_kind, self.linear)
 
     @property
     def values(self) -> dict[str, float]:

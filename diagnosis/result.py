@@ -69,7 +69,7 @@ class Round:
 
 @dataclass(frozen=True)
 class View:
-    """Share of the residual torque that is predictable from a view, before and after; p of the share before.
+    """Share of the residual's power in the output that is predictable from a view, before and after, each with its p.
 
     `label` says what was found in it, such as "7 in a turn"; `before` and `after`, shape (lines, bins), are
     residual torques [N.m; N on a linear axis] in the bins of `centres` (bins,) [SI]; the `lines` have names, such as forward
@@ -156,7 +156,7 @@ class Diagnosis:
 
     `findings` are lines of intake and plausibility (what, where, what to do); `statement` is the answer in sentences.
     `excitation`: what the records excite, as plain numbers (ranges of input, speed and position in SI, shares of the time at
-    rest, forward, backward; as in the report), and `narrow`, why the motion is too uniform, or an empty text. `seconds`: how
+    rest, forward, backward; as in the report), and `narrow`, why the records are too poor, or an empty text. `seconds`: how
     long it took [s].
     """
 

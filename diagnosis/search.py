@@ -171,7 +171,7 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
         values = {**old.values, **{f"{name}.{short}": value for short, value in start.items()}}
         begun = evaluate(stage.problem, old.simulator, servo.free, values, old.starts)
         # a coupling shows what its form is worth only when all of it has moved
-        if effect.coupling or begun.total + promise(stage.problem, begun) > old.total + level:
+        if effect.coupling or begun.total + promise(begun) > old.total + level:
             fit = scanned(resume(stage.problem, begun, LONG), bench.left_by, servo.effects)
             ends.append(Stage(servo, stage.problem, rescored(stage.problem, fit)))
     if not ends:
@@ -223,7 +223,7 @@ def _without(stage: Stage, bench: Bench, base: Stage, name: str) -> Stage:
 def views_of(stage: Stage, bench: Bench) -> tuple[list[Share], Array]:
     """Return what each view predicts of a fitted servo's residual, and the torque behind it (samples,) [N.m]."""
     lens = lens_of(stage, bench)
-    torque = lens.torque(stage.fit) * (stage.fit.weight > 0)[:, None]
+    torque = lens.torque() * (stage.fit.weight > 0)[:, None]
     rough = torque.reshape(len(torque), bench.segments.bins, -1).mean(axis=2)
     factor = 2 * math.pi / bench.turn  # what repeats, repeats along what a motion begins anew after
     around = replace(bench.motion, theta=factor * bench.motion.theta)

@@ -61,10 +61,10 @@ def on_axis(text: str, linear: bool, input_kind: str) -> str:
 
 
 def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, named: bool = False) -> str:
-    """Return what to measure next, or an empty text; `narrow` says why the motion is too uniform, if it is."""
-    lines = [f"Nothing can be named for certain on records of such a motion: {narrow}."] if narrow else []
+    """Return what to measure next, or an empty text; `narrow` says why the records are too poor, if they are."""
+    lines = [f"Nothing can be named for certain on such records: {narrow}."] if narrow else []
     if narrow and named:
-        lines = [f"On records of such a motion other effects look much alike, so confirm the name on more varied ones: {narrow}."]
+        lines = [f"On such records other effects look much alike, so confirm the name on better ones: {narrow}."]
     for tie in ties:
         known = SEPARATE.get(frozenset(tie))
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)
@@ -183,19 +183,19 @@ def statement(
     lines = []
     for e in effects:
         found = ", ".join(f"{name} {value(estimate)}" for name, estimate in told(e).items())
-        lines.append(f"Missing: {words(e.name)} ({e.name}); {found}; by chance {e.p:.2g} or less.")
+        lines.append(f"Missing: {words(e.name)} ({e.name}); {found}; p ≤ {e.p:.2g}.")
     for tie in ties:
         whole = " and ".join(tie) if len(tie) == 2 else ", ".join(tie)
         lines.append(f"These records do not tell {whole} apart.")
     if verdict == "none":
-        lines.append("No effect explains more than chance or than what would matter.")
+        lines.append("No effect explains more than chance would, or enough to matter.")
     if mute:
         lines.append(
             f"The output hardly follows the input: not even {', '.join(mute)} can be told from these records, let alone what is "
             "missing. Check the columns in [input] and [output], or give records that move more."
         )
     elif verdict == "not_identifiable":
-        why = "too many effects explain it alike" if ties else "the motion is too uniform to tell what"
+        why = "too many effects explain it alike" if ties else "the records are too poor to tell what"
         lines.append(f"Something is missing, but {why}: these records do not name it.")
     rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
     most = "at most " if remains.flag else ""  # what is unexplained looks like noise

@@ -125,7 +125,7 @@ def examine(model: Model, records: Sequence[Record], bench: Bench, base: Stage, 
         )  # fmt: skip
     tell("what remains", 0.85)
     if bench.narrow and final is not base and _in_part(model, bench, base, final):
-        why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too uniform a motion to name it"
+        why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too poor records to name it"
         final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
     return conclude(model, records, bench, base, final, rounds, begun)
 

@@ -1,6 +1,7 @@
 """Excitation: the numbers are those of a known motion, and a caveat appears when, and only when, it applies."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -119,3 +120,31 @@ def test_noise_does_not_reverse(tree):
     t, u, y = swing()
     v = np.gradient(y, H) + 1.0 * np.random.default_rng(1).standard_normal(len(t))
     assert described(Model.from_dict(tree), t, u, v)["reversals"] == pytest.approx(40, abs=2)
+
+
+def test_little_was_recorded(model):
+    """Too short in all, or too seldom for an input that moves between the samples; three seconds twice are enough."""
+    rng = np.random.default_rng(2)
+    t = np.arange(3000) * H
+    u, y = np.repeat(rng.standard_normal(300), 10), 3 * np.sin(2 * t) + np.sin(5.3 * t)
+    assert described(model, t, u, y)["narrow"].startswith("the records last 3 s in all")
+    twice = records_from_arrays(model, [("a", t, u, y), ("b", t, -u, y)])
+    assert excitation(model, twice)["narrow"] == ""
+    t = np.arange(600) * 0.05
+    slow = records_from_arrays(model, [("a", t, rng.standard_normal(600), 3 * np.sin(2 * t) + np.sin(5.3 * t))])
+    assert excitation(model, slow)["narrow"] == ""
+    moving = [replace(record, ahead=0.4) for record in slow]
+    assert excitation(model, moving)["narrow"].startswith("the input changes between samples that are 50 ms apart")
+
+
+def test_records_beside_each_other_have_caveats(tree, model):
+    t, u, y = swing()
+    overlap, begin = "times of the records overlap", "each record is taken to begin at position 0"
+    for second, told in ((t + 41.0, False), (t, True), (t + 20.0, True)):
+        found = excitation(model, records_from_arrays(model, [("a", t, u, y), ("b", second, u, -y)]))
+        assert has(found, overlap) is told
+        assert not has(found, begin)
+    tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
+    speeds = Model.from_dict(tree)
+    assert has(excitation(speeds, records_from_arrays(speeds, [("a", t, u, y), ("b", t + 41, u, -y)])), begin)
+    assert not has(described(speeds, t, u, y), begin)

@@ -342,6 +342,10 @@ def test_what_the_model_can_do_by_itself_is_told(case):
         assert fit is not None
         place = [f.name for f in fit.free].index(f"{name}.constant" if name == "back_emf" else f"{name}.amplitude")
         assert fit.alike(place) == others
+        for known in (0.0, -1e9, np.nan):  # what derivatives of a load that rattles come to
+            rounded = fit.information.copy()
+            rounded[0, 0] = known
+            assert replace(fit, information=rounded).alike(place) == ()
 
 
 def test_a_motion_of_nothing_is_missed_and_no_error(case):
