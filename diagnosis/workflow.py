@@ -46,7 +46,8 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
     Raises
     ------
     BristleError
-        If there is no record, if all are too short, or if the model cannot be simulated.
+        If there is no record, one lasts less than 2 s, nothing moves in any of them, the input is constant in all, or the model
+        cannot be simulated.
     """
     must_be(model, records)
     tell = teller(progress)

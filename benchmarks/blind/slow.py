@@ -83,7 +83,7 @@ def main() -> None:
 
 `python benchmarks/blind/slow.py`: controls and single effects of gap ratio 2 and more, half in another form, from a drive that
 works at 1 kHz, of which every fourth or sixteenth sample is kept. `held`: the input taken as held between those, as it was not;
-`found`: as rule 1 takes it. (A delay of less than half a sample is then part of what is found.)
+`found`: as rule 1 of diagnosis_rules.md takes it. (A delay of less than half a sample is then part of what is found.)
 
 | logged at | input | controls named | named right | with a wrong name | said not to be held |
 |---|---|---|---|---|---|
