@@ -62,7 +62,8 @@ def conclude(
     choices = {c.name: estimates(model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit}
     told = {*named, *undecided, *(name for tie in ties for name in tie)}
     added = last.best.name if last.best and last.named else ""
-    missed = story.undetected(last.candidates, last.null, last.base, told, model, added)
+    adrift = bench.segments.velocity and len(records) > 1
+    missed = story.undetected(last.candidates, last.null, last.base, told, model, added, adrift)
     said = partial(story.on_axis, linear=bench.linear, input_kind=model.input_kind)
     return answer.Diagnosis(
         verdict=verdict,

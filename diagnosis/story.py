@@ -80,12 +80,18 @@ def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, nam
 
 
 def undetected(
-    candidates: Sequence[Candidate], null: Null, base: float, told: Collection[str], model: Model, added: str = ""
+    candidates: Sequence[Candidate],
+    null: Null,
+    base: float,
+    told: Collection[str],
+    model: Model,
+    added: str = "",
+    adrift: bool = False,
 ) -> dict[str, str]:
     """Return for each effect that was not found how large it may be without being seen.
 
     `base` is the likelihood without it, `told` are the effects that were found or are in a tie, `added` the one that was added
-    after these candidates were tried.
+    after these candidates were tried. With `adrift` nobody knows how the positions of the records lie beside each other.
     """
     found: dict[str, str] = {}
     for c in candidates:
@@ -99,6 +105,8 @@ def undetected(
         if added:
             seen = f"before {added} was added it gained {gain:.0f} nats; beside that nothing shows it"
         found[c.name] = seen if gain > null.level(c.name) else _limit(c, null, model)
+        if adrift and any("theta" in view for view in find_effect(c.name).residual):
+            found[c.name] += "; all this if the records begin at the same position"
     return found
 
 

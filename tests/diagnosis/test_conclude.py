@@ -92,6 +92,8 @@ def test_what_was_found_or_ties_is_not_told_as_undetected(case) -> None:
     assert undetected(tried, null, stage.fit.total - 50, ("bias", "gravity"), model, "bias") == {
         "cogging": "before bias was added it gained 50 nats; beside that nothing shows it"
     }
+    adrift = undetected([*tried, Candidate("stribeck", stage.fit)], null, stage.fit.total - 50, (), model, adrift=True)
+    assert ["begin at the same position" in adrift[name] for name in ("gravity", "cogging", "bias", "stribeck")] == [1, 1, 0, 0]
 
 
 def test_no_noise_floor_is_given_where_it_is_not_known():
