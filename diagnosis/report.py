@@ -177,8 +177,8 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
 
 def _remains(diagnosis: Diagnosis) -> str:
     left = diagnosis.remains
-    if not (left.flag or diagnosis.where):
-        return ""  # nothing was looked for
+    if diagnosis.proposals or not (left.flag or diagnosis.where):
+        return ""  # nothing was looked for, or it waits for wider bounds
     if left.flag:
         seen = f"{100 * left.share:.0f} % of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
         force = "force" if Rig.of(diagnosis).linear else "torque"

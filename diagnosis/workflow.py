@@ -122,7 +122,8 @@ def examine(model: Model, records: Sequence[Record], bench: Bench, base: Stage, 
         found = conclude(model, records, bench, base, base, [given], begun)
         return replace(
             found, verdict="not_identifiable", statement=(f"What was found only makes up for bounds. Proposed: {line}.",),
-            ties=(), experiment="", choices={}, choice_parameters={}, proposals=(line,),
+            ties=(), experiment="", choices={}, choice_parameters={}, proposals=(line,), undetected={},
+            remains=answer.Remains(False, None, 0.0),  # nothing is left with the wider bounds until they are tried
         )  # fmt: skip
     tell("what remains", 0.85)
     if bench.narrow and final is not base and _in_part(model, bench, base, final):

@@ -146,6 +146,7 @@ def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(call: C
     assert answer["gap"]["before"] == answer["gap"]["after"]
     assert "First widen the bounds" in answer["page"]
     assert "took no part in the search" in answer["page"]
+    assert not any(words in answer["page"] for words in ("What remains", "What was not found"))
     assert answer["files"] == ["diagnosis.json", "report.html"]
 
 
