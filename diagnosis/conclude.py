@@ -14,7 +14,7 @@ from bristle.diagnosis import result as answer
 from bristle.diagnosis import story
 from bristle.diagnosis.bench import Bench, Stage, lens_of
 from bristle.diagnosis.candidates import Candidate, scanned
-from bristle.diagnosis.excitation import excitation
+from bristle.diagnosis.excitation import BEGINNINGS, excitation
 from bristle.diagnosis.fit import Fit, evaluate, resume
 from bristle.diagnosis.intervals import estimates
 from bristle.diagnosis.judge import Verdict
@@ -24,10 +24,12 @@ from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import group, views_of
 from bristle.diagnosis.size import errors, fall, mean_square, squares
 from bristle.diagnosis.views import LEAST_P, Share, residual_map, wave_map
+from bristle.plant.effects import effect as find_effect
 
 MAPS = 6  # views whose residual is drawn
 TOLD = 0.3  # half an interval relative to the value, which of one parameter at least must be less (of 556 records in which
 # nothing was named it was 0.11 or less, uniform motion included; where the output is noise 0.45 and more)
+MOSTLY = 0.5  # of what is left: a view that shows more says that this is no noise, flagged or not
 SEEN = 0.05  # p up to which a view is listed ahead of the others
 
 
@@ -45,7 +47,7 @@ def conclude(
         after, final.fit.values, named, gap, bench.turn, fell_between(bench, base, final), bench.odd(final.fit),
         bench.disturbance(final.fit),
     )  # fmt: skip
-    gap = known_floor(gap, left.flag)
+    gap = known_floor(gap, left.flag or (left.view is not None and left.share > MOSTLY))
     undecided = _open(last)
     mute = () if named or undecided else mute_parameters(plain)
     verdict = "named" if named else unnamed(last, bench.narrow, left, mute)
@@ -63,6 +65,8 @@ def conclude(
     told = {*named, *undecided, *(name for tie in ties for name in tie)}
     added = last.best.name if last.best and last.named else ""
     adrift = bench.segments.velocity and len(records) > 1
+    placed = any("theta" in view for name in (*named, *undecided) for view in find_effect(name).residual)
+    beginnings = [BEGINNINGS] if adrift and (placed or left.flag) else []
     missed = story.undetected(last.candidates, last.null, last.base, told, model, added, adrift)
     said = partial(story.on_axis, linear=bench.linear, input_kind=model.input_kind)
     return answer.Diagnosis(
@@ -75,7 +79,7 @@ def conclude(
         remains=left,
         gap=gap,
         excitation=excitation(model, records),
-        findings=(*(f for r in records for f in r.findings), *bound_lines(model, plain, intervals)),
+        findings=(*(f for r in records for f in r.findings), *bound_lines(model, plain, intervals), *beginnings),
         base=plain,
         parameters=own,
         rounds=tuple(_round(v) for v in rounds),
@@ -213,13 +217,13 @@ def gap_between(model: Model, bench: Bench, base: Stage, final: Stage) -> answer
     return answer.Gap(before, after, min(alone, after), model.output_unit)
 
 
-def known_floor(gap: answer.Gap, flag: bool) -> answer.Gap:
+def known_floor(gap: answer.Gap, mixed: bool) -> answer.Gap:
     """Return a gap without the noise floor where that is not known.
 
-    What remains unexplained (`flag`) is taken for noise, and then the noise that would do is no floor; nor is it where the
-    error that was reached after is above the one before.
+    What is unexplained (`mixed`: so much of what is left) is taken for noise, and then the noise that would do is no floor; nor is
+    it where the error that was reached after is above the one before.
     """
-    unknown = gap.after > gap.before or (flag and gap.noise_floor is not None and gap.noise_floor >= gap.after)
+    unknown = gap.after > gap.before or (mixed and gap.noise_floor is not None and gap.noise_floor >= gap.after)
     return replace(gap, noise_floor=None) if unknown else gap
 
 

@@ -22,6 +22,10 @@ RESOLVED = 5  # periods within a record that tell a tone from any slow motion
 DWELL = 0.05  # s in one direction between reversals, so that noise does not reverse
 HALF_TURN = float(np.pi)
 COARSE = 0.02  # s: an input that changes between samples so far apart is hardly known (at 16 ms no name of 12 was wrong)
+BEGINNINGS = (
+    "velocities only: each record is taken to begin at position 0; what depends on the position shows, and has the right phase, "
+    "only if they begin at the same place"
+)
 SHORT = 5.0  # s in all: of less, two or three stretches are all that can be kept from the search to prove an effect
 BENT = float(np.pi / 2)  # a sine over a shorter range is nearly a straight line
 
@@ -162,10 +166,7 @@ def _beside(model: Model, records: Sequence[Record]) -> list[str]:
             "each alike; log the time of the session if there may be one"
         )
     if model.output_kind == "velocity" and len(records) > 1:
-        found.append(
-            "velocities only: each record is taken to begin at position 0; what depends on the position shows only if they begin "
-            "at the same place"
-        )
+        found.append(BEGINNINGS)
     return found
 
 

@@ -289,10 +289,9 @@ def _thousands(values: Sequence[Array]) -> int:
 def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
     factor, label = rig.axis(view.view, view.period)
     x = factor * view.centres
-    many = np.atleast_2d(view.before).shape[0] > 1
     for row, before in enumerate(np.atleast_2d(view.before)):
         style: Any = ("-", (0, (4, 2)))[row % 2]
-        name = f" {view.lines[row]}" if many and row < len(view.lines) else ""
+        name = f" {view.lines[row]}" if row < len(view.lines) else ""
         ax.plot(x, scale * before, color=BEFORE, linestyle=style, label=f"{'before' if both else 'residual'}{name}")
         if both and view.after.size:
             ax.plot(x, scale * np.atleast_2d(view.after)[row], color=AFTER, linestyle=style, label=f"after{name}")

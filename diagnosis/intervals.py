@@ -81,7 +81,8 @@ def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[st
         if f.name in wide_at:
             ends += [beside(f.name, value, side * wide_at[f.name]) for side in (-1, 1)]
         low, high = model.allowed(f.name)
-        found[f.name] = answer.Estimate(value, model.unit(f.name), (max(min(ends), low), min(max(ends), high)), f.stuck(value))
+        ci95 = float(max(min(ends), low)), float(min(max(ends), high))
+        found[f.name] = answer.Estimate(float(value), model.unit(f.name), ci95, f.stuck(value))
     return found
 
 

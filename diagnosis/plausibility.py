@@ -245,7 +245,7 @@ def _structure(
         return (
             f"input sign looks flipped: with -u the model explains {flipped:.0%} of the torque, as given {given:.0%} "
             f"(J {value[0]:.3g}, Fc {value[2]:.3g}); "
-            + _mend('turn it in [input], scale = "-1" over its unit, or rewire the data', alone)
+            + _mend('turn it: scale = "-1" beside the unit in [input], or in [output] if that is what is turned', alone)
         )
     velocity = model.output_kind == "velocity"
     other = "position" if velocity else "velocity"

@@ -180,18 +180,21 @@ def _remains(diagnosis: Diagnosis) -> str:
     if diagnosis.proposals or not (left.flag or diagnosis.where):
         return ""  # nothing was looked for, or it waits for wider bounds
     if left.flag:
-        seen = f"{100 * left.share:.0f} % of the residual can be predicted from <b>{escape(view_name(left.view or ''))}</b>"
+        name = escape(view_name(left.view or "", left.label))
+        seen = f"{100 * left.share:.0f} % of the residual can be predicted from <b>{name}</b>"
         force = "force" if Rig.of(diagnosis).linear else "torque"
         taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's {force}"
         said = taken if left.view is None else seen
-        return f'<p class="alarm">Something remains: {said}, and no effect of the catalogue explains it.</p>'
+        open_ = diagnosis.ties and not diagnosis.effects
+        end = "with none of these effects added" if open_ else "and no effect of the catalogue explains it"
+        return f'<p class="alarm">Something remains: {said}, {end}.</p>'
     sure = [v for v in diagnosis.where if v.p_after <= CERTAIN]
     said = "no view predicts more of the residual than chance gives"
     if sure:
         most = max(sure, key=lambda v: v.share_after)
         said = f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the residual that is left, "
         said += "every other view less or no more than chance gives"
-    return f"<p>Nothing that stands out: {said}.</p>"
+    return f"<p>Nothing that stands out beside the gap there was: {said}.</p>"
 
 
 def _views(diagnosis: Diagnosis) -> str:

@@ -94,13 +94,14 @@ class View:
 class Remains:
     """Whether something is left that no effect explains, where (None: no view shows it), and its share of the residual.
 
-    `disturbance`: the torque that it takes for a disturbance, over that of the input; rms.
+    `disturbance`: the torque that it takes for a disturbance, over that of the input; rms. `label`: as of the `View`.
     """
 
     flag: bool
     view: str | None
     share: float
     disturbance: float = 0.0
+    label: str = ""
 
 
 @dataclass(frozen=True)

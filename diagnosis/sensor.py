@@ -206,4 +206,4 @@ def report_limits(raw: Raw) -> None:
         # the crest of a signal in steps also dwells on its last value, but not so much longer than on those before
         if count > max(SATURATED * len(raw.u), LIMITED) and count > CREST * beside and value != 0.0:
             line = f"input is at its {which} value {value:.6g} for {count / len(raw.u):.1%} of the time"
-            raw.say(f"{line}: a limit; what is logged must be behind it")
+            raw.say(f"{line}: a limit, and what is logged must be behind it; or a step of the command")

@@ -24,6 +24,11 @@ SEPARATE = {  # what tells effects of one class apart
     frozenset({"presliding", "bristle_damping"}): "add small, fast motion that never breaks away: "
     "only damping makes it lose energy",
 }
+AGAIN = {  # what shows more of what remains in a view that no motion varies
+    "tone": "Record with the input at zero and the drive on, then with what runs nearby switched off, to see what swings there.",
+    "history": "Record motion to and fro, by small steps and by large ones, to see what remains after a reversal.",
+    "t": "Record the same motion again, over a longer time, to see what changes with it.",
+}
 STRAYS = "a few where the servo went another way by chance may be most of it"
 UNSEEN = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
 DIGITS = 6  # of a value, at most
@@ -57,6 +62,7 @@ def on_axis(text: str, linear: bool, input_kind: str) -> str:
     Full names of parameters, such as bias.torque, stay as they are.
     """
     text = re.sub(r"\bvoltage\b", input_kind, text)
+    text = text.replace("periods in a turn", "2 pi over the length of a period") if linear else text
     return re.sub(r"(?<!\.)\btorque", "force", text) if linear else text
 
 
@@ -69,7 +75,11 @@ def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, nam
         known = SEPARATE.get(frozenset(tie))
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)
         lines.append(f"To tell {' and '.join(tie)} apart: {known or each}.")
-    if remains.flag and remains.view is None:
+    if ties and not named:
+        return " ".join(lines)
+    if remains.flag and remains.view in AGAIN:
+        lines.append(AGAIN[remains.view])
+    elif remains.flag and remains.view is None:
         lines.append("Look for what is loose, and measure on the other side of it too; and log all that acts on the axis.")
     elif remains.flag:
         again = f"motion that varies {view_name(remains.view or '')} most"
@@ -139,6 +149,8 @@ def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str,
         return None
     most = math.floor(math.log10(max(abs(value), half)))
     last = max(math.floor(math.log10(half)) - 1, most - DIGITS + 1)
+    if value and abs(value) < 10.0**last:  # far from the middle of a wide interval, but not 0
+        last = math.floor(math.log10(abs(value)))
     if half < 10.0**last:
         half = 10.0**last
         low, high = value - half, value + half
@@ -175,7 +187,8 @@ def value(e: Estimate) -> str:
     """Return an estimate with its interval."""
     mid, low, high = plain_texts(e)
     unit = "" if e.unit == "1" else f" {e.unit}"
-    return f"{mid}{unit} ({low} to {high})" if low else f"{mid}{unit} (uncertain)"
+    length = f", a period of {2e3 * math.pi / e.value:.5g} mm" if e.unit == "rad/m" and e.value else ""
+    return f"{mid}{unit} ({low} to {high}){length}" if low else f"{mid}{unit} (uncertain){length}"
 
 
 def statement(
@@ -220,9 +233,13 @@ def statement(
     else:
         lines.append(f"The rms error of the output is {rms[0]:.3g} {gap.output_unit} with refitted parameters; {alone}.")
     if remains.flag:
-        follows = f"{remains.share:.0%} of the residual follows {view_name(remains.view or '')}"
+        follows = f"{remains.share:.0%} of the residual follows {view_name(remains.view or '', remains.label)}"
+        if remains.view == STRETCHES and remains.label:
+            follows = f"{remains.share:.0%} of the residual lies in {remains.label}"
         taken = f"it would take a disturbance of {remains.disturbance:.0%} of the input's torque, and no view shows where it lives"
-        lines.append(f"Something remains that none of the effects explains: {taken if remains.view is None else follows}.")
+        shows = taken if remains.view is None else follows
+        without = "Without any of these" if ties and not effects else "Something remains that none of the effects explains"
+        lines.append(f"{without}: {shows}.")
     return (*lines, *_at_ends(base))
 
 

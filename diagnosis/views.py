@@ -173,8 +173,9 @@ def _searched(lens: Lens, m: Motion, rough: Array) -> dict[str, tuple[Array, dic
     frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), clock[middle].reshape(rough.shape)[:, 0], rough)
     tone = float(frequency[int(np.argmax(amplitudes(np.ones(len(rough)))))])
     own = [(clock == k)[:, None] * _waves(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)]
-    told = {"label": f"{tone:.3g} Hz"} | ({"frequency": tone} if len(own) == 1 else {})  # one phase, so that it can be drawn
-    found: dict[str, tuple[Array, dict[str, Any]]] = {"tone": (np.column_stack(own), told)}
+    found: dict[str, tuple[Array, dict[str, Any]]] = {
+        "tone": (np.column_stack(own), {"label": f"{tone:.3g} Hz", "frequency": tone})
+    }
     turns = np.arange(1.0, PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)
@@ -314,7 +315,12 @@ def wave_map(view: str, m: Motion, before: Lens, after: Lens, period: float | No
     table = np.column_stack([np.interp(x, knots[:-1], row, period=period) for row in np.eye(PHASES)])
     waves, whole = (np.column_stack([g[:, None] * each for g in groups]) for each in (table, hats(x, PHASES)))
     curves, gain = before.regress(waves)
-    if gain < before.regress(whole)[1]:
+    if view == "tone" and len(groups) > 1:  # of clocks of their own the one in which it is largest
+        largest = int(np.argmax(np.ptp(curves.reshape(-1, PHASES), axis=1)))
+        groups, names = [groups[largest]], names[largest : largest + 1]
+        waves = groups[0][:, None] * table
+        curves = before.regress(waves)[0]
+    elif gain < before.regress(whole)[1]:
         return {}
     seen = m.moving @ waves
     lines = [np.where(seen > SELDOM * seen.mean(), c, np.nan).reshape(-1, PHASES) for c in (curves, after.regress(waves)[0])]
@@ -324,8 +330,13 @@ def wave_map(view: str, m: Motion, before: Lens, after: Lens, period: float | No
 
 def _axis(view: str, m: Motion) -> tuple[Array, list[NDArray[np.bool_]], tuple[str, ...]] | None:
     """Return along what a view is drawn, the samples of each line, and the names of the lines."""
+    if view == "tone":
+        clock = clocks(m)
+        numbers = np.unique(clock)
+        names = tuple(f"record {k + 1}" for k in numbers) if len(numbers) > 1 else ()
+        return m.time, [clock == k for k in numbers], names
     along, _, side = view.partition(" x ")
-    x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "tone": m.time, "theta": m.theta}.get(along)
+    x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "theta": m.theta}.get(along)
     if x is None:  # travel, rates and single stretches have no axis of their own here
         return None
     way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)

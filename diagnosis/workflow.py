@@ -25,6 +25,8 @@ from bristle.diagnosis.remains import remains
 from bristle.diagnosis.search import Tell, search
 from bristle.model.errors import BristleError
 
+MAKES_UP = "Effects explain these records, but they only make up for bounds that are too tight."
+
 
 def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = None) -> answer.Diagnosis:
     """Find where a model and records disagree, and name what is missing.
@@ -118,10 +120,10 @@ def examine(model: Model, records: Sequence[Record], bench: Bench, base: Stage, 
     """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
     final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
     if final.servo.effects != base.servo.effects and (line := better_unbound(model, bench, base, final)):
-        given = replace(rounds[0], named=False, withdrawn=True, decision="what was found only makes up for bounds")
+        given = replace(rounds[0], named=False, withdrawn=True, decision="it only makes up for bounds")
         found = conclude(model, records, bench, base, base, [given], begun)
         return replace(
-            found, verdict="not_identifiable", statement=(f"What was found only makes up for bounds. Proposed: {line}.",),
+            found, verdict="not_identifiable", statement=(f"{MAKES_UP} Proposed: {line}.",),
             ties=(), experiment="", choices={}, choice_parameters={}, proposals=(line,), undetected={},
             remains=answer.Remains(False, None, 0.0),  # nothing is left with the wider bounds until they are tried
         )  # fmt: skip

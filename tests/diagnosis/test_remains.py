@@ -54,6 +54,9 @@ def test_a_disturbance_as_large_as_the_drive_is_none(disturbance, flag):
 def test_what_is_left_of_a_gap_that_was_closed_is_small():
     closed = Gap(2.0, 0.05, 0.05, "rad")
     assert not said(Share("history", 0.5, 0.001), "gravity", gap=closed).flag
+    assert not said(Share("tone", 0.25, 0.001), "gravity", gap=closed).flag
+    tone = said(Share("tone", 0.9, 0.001, label="3 Hz"), "gravity", gap=closed)  # which is no form of any effect
+    assert (tone.flag, tone.view, tone.label) == (True, "tone", "3 Hz")
     assert said(Share("history", 0.5, 0.001), "gravity").flag
 
 

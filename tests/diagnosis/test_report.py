@@ -17,7 +17,7 @@ from bristle.diagnosis.figures import Rig, draw, telling
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.report import interval, render
 from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
-from bristle.diagnosis.story import on_axis, statement, told, undetected, value, view_name
+from bristle.diagnosis.story import experiment, on_axis, statement, told, undetected, value, view_name
 from bristle.diagnosis.views import STRETCHES
 from bristle.model.drawing import RED
 
@@ -122,8 +122,29 @@ def test_what_remains_is_what_the_table_above_it_says(answer):
     named = answer("named")
     noisy = replace(named.where[1], view="du", share_after=0.08, p_after=0.001)
     text = text_of(page_of(replace(named, where=(named.where[0], noisy), remains=Remains(False, "history", 0.04))))
-    assert "Nothing that stands out: rate of the input predicts 8 % of the residual that is left" in text
+    assert "Nothing that stands out beside the gap there was: rate of the input predicts 8 % of the residual that is left" in text
     assert "no view predicts more of the residual than chance gives" in text_of(page_of(named))
+
+
+def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):
+    tie, left = answer("tie"), Remains(True, "theta", 0.54)
+    without = "Without any of these: 54% of the residual follows position."
+    assert without in statement("tie", (), tie.ties, tie.gap, left, {})
+    assert without in statement("not_identifiable", (), tie.ties, tie.gap, left, {})
+    assert "with none of these effects added" in text_of(page_of(replace(tie, remains=left)))
+    named = answer("named")
+    after = statement("named", named.effects, tie.ties, named.gap, left, {})
+    assert "Something remains that none of the effects explains: 54% of the residual follows position." in after
+
+
+def test_a_tone_is_told_with_its_frequency_and_how_to_look_for_it(answer):
+    tone = Remains(True, "tone", 0.9, 0.0, "3 Hz")
+    assert "90% of the residual follows tone in time (3 Hz)." in " ".join(statement("none", (), (), answer("none").gap, tone, {}))
+    assert "tone in time (3 Hz)" in text_of(page_of(replace(answer("none"), remains=tone)))
+    assert "with the input at zero" in experiment((), tone, "")
+    assert "with the input at zero" not in experiment((("bias", "gravity"),), tone, "")  # what is left is that of the tie
+    few = Remains(True, STRETCHES, 0.7, 0.0, "16 of 180 stretches, the worst at 1.4 s")
+    assert "70% of the residual lies in 16 of 180 stretches" in " ".join(statement("none", (), (), answer("none").gap, few, {}))
 
 
 def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
@@ -334,6 +355,8 @@ def test_an_interval_has_two_figures(value, low, high, expected):
         (Estimate(0.04228, "N.m", (0.03224, 0.05545)), "0.042 N.m (0.032 to 0.055)"),
         (Estimate(123456.0, "1", (123356.0, 123556.0)), "1.2346e5 (1.2336e5 to 1.2356e5)"),
         (Estimate(0.3, "1", None), "0.3 (uncertain)"),
+        (Estimate(123456.0, "1", (0.0, 1.38e8)), "0.01e7 (0.00e7 to 13.80e7)"),
+        (Estimate(250.0, "rad/m", (248.0, 252.0)), "250.0 rad/m (248.0 to 252.0), a period of 25.133 mm"),
     ],
 )
 def test_a_sentence_gives_the_digits_that_the_interval_calls_for(estimate, expected):
