@@ -142,7 +142,7 @@ def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(call: C
     [proposal] = answer["proposals"]
     assert re.search(r"J near 0\.0(099\d|10) kg\.m2, outside its bounds \[0\.007, 0\.009\]", proposal)
     assert answer["rounds"]  # effects were looked for
-    assert answer["statement"][0].startswith("What was found only makes up for bounds. Proposed: wider bounds")
+    assert answer["statement"][0].startswith("Effects explain these records, but they only make up for bounds")
     assert answer["gap"]["before"] == answer["gap"]["after"]
     assert "First widen the bounds" in answer["page"]
     assert "took no part in the search" in answer["page"]
