@@ -154,8 +154,9 @@ class Candidate:
     def inside(self, limits: Mapping[str, tuple[float, float]]) -> bool:
         """False where a parameter ends at a limit of the records: what it explains there is something else."""
         assert self.fit is not None
-        near = [(self.fit.values[name], ends) for name, ends in limits.items() if name in [f.name for f in self.fit.free]]
-        return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, ends in near for end in ends if np.isfinite(end))
+        free = {f.name for f in self.fit.free} & set(limits)
+        ends = [(self.fit.values[name], end) for name in free for end in limits[name] if np.isfinite(end)]
+        return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, end in ends)
 
 
 def dry_level(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:

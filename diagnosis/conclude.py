@@ -65,7 +65,7 @@ def conclude(
     told = {*named, *undecided, *(name for tie in ties for name in tie)}
     added = last.best.name if last.best and last.named else ""
     adrift = bench.segments.velocity and len(records) > 1
-    placed = any("theta" in view for name in (*named, *undecided) for view in find_effect(name).residual)
+    placed = any(find_effect(name).placed for name in (*named, *undecided))
     beginnings = [BEGINNINGS] if adrift and (placed or left.flag) else []
     missed = story.undetected(last.candidates, last.null, last.base, told, model, added, adrift)
     said = partial(story.on_axis, linear=bench.linear, input_kind=model.input_kind)

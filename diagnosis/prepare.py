@@ -84,7 +84,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
         "hard_stop.upper": (middle, math.inf),
         "hard_stop.lower": (-math.inf, middle),
         "saturation.limit": (float(least_u), math.inf),
-        "electrical_pole.time_constant": (0.0, POLE * s.bins * s.width * s.h),
+        "electrical_pole.time_constant": (0.0, POLE * s.seconds),
         "stribeck.speed": (0.0, FALLEN * float(np.quantile(np.abs(bench.motion.v), 1 - EDGE))),
         **{name: (least, math.inf) for name in periodic},
     }

@@ -115,7 +115,7 @@ def undetected(
         if added:
             seen = f"before {added} was added it gained {gain:.0f} nats; beside that nothing shows it"
         found[c.name] = seen if gain > null.level(c.name) else _limit(c, null, model)
-        if adrift and any("theta" in view for view in find_effect(c.name).residual):
+        if adrift and find_effect(c.name).placed:
             found[c.name] += "; all this if the records begin at the same position"
     return found
 

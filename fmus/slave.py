@@ -40,7 +40,7 @@ def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-class Slave(Fmi2Slave):  # type: ignore[misc]
+class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     """One instance; a subclass names the FMU and gives the generated tables."""
 
     tables: Any = None  # START, SELECTOR, VARIANTS, TOKEN, VARIABLES

@@ -200,6 +200,11 @@ class Effect:
         """Short names of the parameters that bend its form."""
         return frozenset(short for start in self.form for short in start)
 
+    @property
+    def placed(self) -> bool:
+        """Whether its residual lives at places of the travel."""
+        return any("theta" in view for view in self.residual)
+
 
 def arrange(effects: Sequence[Effect]) -> list[Effect]:
     """Return the effects in the order in which they act; raise `BristleError` for those that exclude each other."""

@@ -118,7 +118,7 @@ def test_what_is_no_model_and_what_is_no_record_is_said(model: Model, plain: lis
     given = [(model, "r.csv"), (model, [("r", *plain[0])]), (model, None), ("model.toml", [])]
     for wrong, records in given:
         with pytest.raises(BristleError, match="give what load_"):
-            diagnose(wrong, records)  # type: ignore[arg-type]
+            diagnose(wrong, records)  # type: ignore[arg-type]  # the wrong types are the test
 
 
 def test_records_of_different_rates_are_brought_to_one(call: Call, plain: list[Columns]) -> None:
@@ -250,7 +250,7 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
         return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
 
     with threadpool_limits(2, user_api="blas"):
-        retried(lambda records, begun: seen.append(threads()), ())  # type: ignore[arg-type,return-value]
+        retried(lambda records, begun: seen.append(threads()), ())  # type: ignore[arg-type,return-value]  # it asks nothing of the records
         assert seen == [{1}]
         assert threads() == {2}
 
