@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,7 +51,8 @@ PLAIN = 1.6  # a further effect lowers the error so, and shows anything on segme
 # that were not there, gained `CLEAR` times the level and were no wave's form, one lowered it by 1.9, the others by less than 1.5),
 MORE, ALSO = 1.4, 0.4  # or so and gains this share of what the first one gained, and anything on segments kept from the search,
 SURE, ASIDE = 5.0, 0.25  # or gains so many times the level and this share, and `AGREED` on segments kept from the search,
-FORMED = 40.0  # nats, at least, that another form gains: where a contact is all there is, numbers alone bring 28
+FORMED = 40.0  # nats, at least, that another form gains: where a contact is all there is, numbers alone bring 28, and 48 on another
+BENT = 0.1  # processor, with a form bent 0.06 of the way to the nearest start; so much of this way a contact's form must go
 MUCH, AGAIN = 1.5, 15.0  # or so, or gains this share, and gains so many nats on segments kept from the search
 ALIKE = "several effects explain it alike"
 STRONGER = (1.0, 1.6)  # what a linear response says of a strength is too little where the model runs away from the records
@@ -187,9 +188,16 @@ def bent(stage: Stage, bench: Bench, name: str, level: float) -> Stage:
         led = evaluate(problem, old.simulator, old.free, {**fit.values, **idle(name)}, fit.starts)
         led = scanned(resume(problem, led, LONG), lambda _: problem, stage.servo.effects)
         usual = max(stood, led, key=lambda each: each.total)
-    if fit.total - usual.total > max(SURE * level, FORMED):
+    if fit.total - usual.total > max(SURE * level, FORMED) and goes_far(name, fit.values):
         return Stage(best.servo, problem, fit)
     return stage if usual is stood else Stage(stage.servo, problem, usual)
+
+
+def goes_far(name: str, values: Mapping[str, float]) -> bool:
+    """False where the form of a contact is hardly another: numbers bend it so, for contacts amplify what they round."""
+    effect, plain = find_effect(name), idle(name)
+    ways = [(f"{name}.{short}", value) for start in effect.form for short, value in start.items()]
+    return not effect.coupling or any(abs(values[k] - plain[k]) >= BENT * abs(value - plain[k]) for k, value in ways)
 
 
 def pruned(stage: Stage, bench: Bench, base: Stage, gain: float, level: float) -> tuple[Stage, list[str]]:

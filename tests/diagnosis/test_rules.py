@@ -17,7 +17,7 @@ from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged, matt
 from bristle.diagnosis.lens import Motion
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.prepare import base_of
-from bristle.diagnosis.search import amiss, considered, extend, look, mends_form, search, worth_adding
+from bristle.diagnosis.search import amiss, considered, extend, goes_far, look, mends_form, search, worth_adding
 from bristle.diagnosis.size import acting_fall, fall
 from bristle.diagnosis.views import FLIPS, clocks, line_p, spectrum
 from bristle.plant.effect import Evidence
@@ -287,6 +287,20 @@ def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
     assert not {f"{name}.{short}" for short in bending} & {f.name for f in ends[0].free}
     for short in bending:
         assert ends[1].values[f"{name}.{short}"] == pytest.approx(FORMS[name][short], rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("name", "far"),
+    [
+        ("backlash.exponent=1.03", False),  # what rounding makes of a contact whose torque is in proportion
+        ("backlash.exponent=1.06", True),
+        ("compliance.hardening=1.0", True),  # no other form to be near to
+        ("hard_stop.exponent=1.01", True),  # met now and then only: rounding does not grow
+    ],
+)
+def test_a_contact_hardly_bent_has_no_other_form(name, far):
+    key, value = name.split("=")
+    assert goes_far(key.split(".")[0], {key: float(value)}) is far
 
 
 def test_every_form_is_tried():
