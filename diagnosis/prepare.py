@@ -24,10 +24,9 @@ from bristle.model.errors import BristleError
 from bristle.plant.friction import law as find_law
 
 SHORTEST = 0.1  # s: in less, friction and inertia hardly show
-AWAY = 1.0  # of the motion's square: a model that misses more has run away
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
-SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
+SWALLOWED, REACHED = 0.5, 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
 FALLEN = 0.25  # of the top speed, but for rare ones: up to there a Stribeck curve must have fallen
 POLE = 0.25  # of a segment: the slowest electrical pole
 EDGE = 0.05  # of the time, at either end, in which no step is looked for; of speeds, that are rare
@@ -77,7 +76,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
     periodic = ("cogging.periods", "position_friction.periods") if bench.linear else ("cogging.periods",)
     first, last = np.quantile(bench.motion.time, [EDGE, 1 - EDGE])
     middle = float(np.median(bench.motion.theta))
-    least_u, most_u = np.quantile(np.abs(bench.motion.u), [1 - SWALLOWED, SWALLOWED])
+    least_u, most_u = np.quantile(np.abs(bench.motion.u), [1 - REACHED, SWALLOWED])
     return {
         "dead_zone.width": (0.0, float(most_u)),
         "disturbance_step.onset": (float(first), float(last)),
@@ -129,7 +128,7 @@ def prepared(model: Model, records: Sequence[Record], bench: Bench) -> tuple[Ben
     """
     usual, asked = bench.segments.seconds, SEGMENT
     base = settle_well(bench, *base_of(model, bench))
-    while bench.missed(base.fit) > AWAY and asked / 2 >= SHORTEST:
+    while bench.away(base.fit) and asked / 2 >= SHORTEST:
         asked /= 2
         shorter = bench_of(model, records, asked)
         if shorter.segments.seconds < bench.segments.seconds:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.bench import LONG, Bench, Stage, lens_of
+from bristle.diagnosis.bench import LONG, Bench, Stage, lens_of, loosened
 from bristle.diagnosis.candidates import (
     ELASTIC,
     HASTY,
@@ -114,11 +114,23 @@ def _together(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]]:
     """Return what gives the starts of an effect together with the model, where the model's own fit is far off.
 
     They balance the torques along the measured motion or, where the law has a memory, start from the nominal model: one
-    that was fitted without what is missing has bent its parameters to make up for it.
+    that was fitted without what is missing has bent its parameters to make up for it. Where it runs away, they start from
+    less dry friction too.
     """
     joint = bench.joint(stage)
-    if joint.models:
-        return joint.starts
+    given = joint.starts if joint.models else _from_nominal(bench, stage)
+    if not bench.away(stage.fit):
+        return given
+    less, e = loosened(stage), evidence(bench.motion, lens_of(stage, bench), stage.fit, bench.resolution, bench.turn)
+
+    def more(name: str) -> list[Start]:
+        return [*given(name), *((less | {f"{name}.{k}": v for k, v in s.items()}, s) for s in starts(name, e))]
+
+    return more
+
+
+def _from_nominal(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]]:
+    """Return what gives the starts of an effect together with the nominal model."""
     nominal = {f.name: f.usual for f in stage.servo.free if f.nominal is not None}
     values = {**stage.fit.values, **nominal}
     plain = evaluate(stage.problem, stage.fit.simulator, (), values, stage.problem.starts)  # none to make up for it
