@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import intervals, workflow
-from bristle.diagnosis.bench import HELD
+from bristle.diagnosis.bench import HELD, Bench
 from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, Servo, beside, standing
 from bristle.diagnosis.candidates import Test as Worth
 from bristle.diagnosis.fit import Free
@@ -17,7 +17,7 @@ from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged, matt
 from bristle.diagnosis.lens import Motion
 from bristle.diagnosis.null import Null
 from bristle.diagnosis.prepare import base_of
-from bristle.diagnosis.search import amiss, considered, extend, goes_far, look, mends_form, search, worth_adding
+from bristle.diagnosis.search import _together, amiss, considered, extend, goes_far, look, mends_form, search, worth_adding
 from bristle.diagnosis.size import acting_fall, fall
 from bristle.diagnosis.views import FLIPS, clocks, line_p, spectrum
 from bristle.plant.effect import Evidence
@@ -235,6 +235,17 @@ def test_bristles_also_begin_as_those_of_the_model(case):
     assert list(standing(base.servo, "presliding", base.fit)[0]) == ["stiffness"]
     assert standing(base.servo, "cogging", base.fit) == []
     assert standing(replace(base.servo, rigid=False), "bristle_damping", base.fit) == []
+
+
+@pytest.mark.parametrize("away", [True, False])
+def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(away, case, monkeypatch):
+    made = case("cogging")
+    monkeypatch.setattr(Bench, "away", lambda bench, fit: away)
+    begun = _together(made.bench, made.base)("cogging")
+    half = 0.5 * made.base.fit.values["coulomb.Fc"]
+    found = [s for whole, s in begun if whole.get("coulomb.Fc") == half and whole["cogging.periods"] == s["periods"]]
+    assert bool(found) is away
+    assert len(begun) > len(found)  # and as before
 
 
 def fitted(name, size, each, n=100):

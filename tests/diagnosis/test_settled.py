@@ -90,5 +90,24 @@ def test_of_two_ends_alike_the_one_inside_its_bounds_is_taken(
     ]
     several = iter(ends)
     monkeypatch.setattr(bench, "settle", lambda *_: next(several))
-    stand: Any = SimpleNamespace(far=lambda fit: True, joint=lambda stage: SimpleNamespace(models=[{}]))
+    models = SimpleNamespace(models=[{}])
+    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: False, joint=lambda stage: models)
     assert bench.settle_well(stand, ends[0].servo, {}) is ends[chosen]
+
+
+@pytest.mark.parametrize("away", [True, False])
+def test_a_model_that_runs_away_is_fitted_from_less_dry_friction_too(away: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dry friction holds an axis where a missing torque would; steps end where it sticks."""
+    free, begun = (Free("J", 1e-4, 1e-2), Free("coulomb.Fc", 0.0, 0.6)), []
+
+    def settle(stand: Any, servo: Any, values: dict[str, float]) -> SimpleNamespace:
+        begun.append(values)
+        found = {"J": 1e-3, "coulomb.Fc": 0.1}
+        return SimpleNamespace(servo=servo, fit=SimpleNamespace(total=100.0 * len(begun), values=found))
+
+    monkeypatch.setattr(bench, "settle", settle)
+    models = SimpleNamespace(models=[])
+    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: away, joint=lambda stage: models)
+    end = bench.settle_well(stand, SimpleNamespace(free=free), {"J": 2e-3})  # type: ignore[arg-type]  # no more than is asked of it
+    assert begun == ([{"J": 2e-3}, {"J": 2e-3, "coulomb.Fc": 0.05}] if away else [{"J": 2e-3}])
+    assert end.fit.total == 100.0 * len(begun)
