@@ -172,23 +172,22 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
 
 
 def settle_well(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
-    """Fit a servo and its noise from given values and, if that ends far off, from what balances the torques.
+    """Fit a servo and its noise from given values and, if that ends far off, from others.
 
-    If it runs away, from less dry friction too.
-
-    Of ends that the records hardly tell apart, one with fewer parameters at their bounds is the model that is known.
+    These are what balances the torques and, where the servo runs away, less dry friction. Of ends that the records hardly tell apart, one with fewer parameters at their bounds is the model that is known.
     """
     first = settle(bench, servo, values)
     if not bench.far(first.fit):
         return first
-    others = [*bench.joint(first).models, *([loosened(first)] if bench.away(first.fit) else [])]
+    less = loosened(first) if bench.away(first.fit) else {}
+    others = [*bench.joint(first).models, *([less] if less else [])]
     ends = [first, *(settle(bench, servo, {**values, **found}) for found in others)]
     most = max(stage.fit.total for stage in ends)
     return min((s for s in ends if s.fit.total > most - EVEN), key=lambda s: (_at_bounds(s), -s.fit.total))
 
 
 def loosened(stage: Stage) -> dict[str, float]:
-    """Return values of a servo with less dry friction, from which a model that runs away may be fitted better."""
+    """Return less dry friction than a servo has, if any, from which one that runs away may be fitted better."""
     return {f.name: LOOSER * stage.fit.values[f.name] for f in stage.servo.free if f.name.endswith(".Fc")}
 
 

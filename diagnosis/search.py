@@ -119,9 +119,10 @@ def _together(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]]:
     """
     joint = bench.joint(stage)
     given = joint.starts if joint.models else _from_nominal(bench, stage)
-    if not bench.away(stage.fit):
+    less = loosened(stage)
+    if not (less and bench.away(stage.fit)):
         return given
-    less, e = loosened(stage), evidence(bench.motion, lens_of(stage, bench), stage.fit, bench.resolution, bench.turn)
+    e = evidence(bench.motion, lens_of(stage, bench), stage.fit, bench.resolution, bench.turn)
 
     def more(name: str) -> list[Start]:
         return [*given(name), *((less | {f"{name}.{k}": v for k, v in s.items()}, s) for s in starts(name, e))]
