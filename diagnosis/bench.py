@@ -174,7 +174,8 @@ def settle(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
 def settle_well(bench: Bench, servo: Servo, values: Mapping[str, float]) -> Stage:
     """Fit a servo and its noise from given values and, if that ends far off, from others.
 
-    These are what balances the torques and, where the servo runs away, less dry friction. Of ends that the records hardly tell apart, one with fewer parameters at their bounds is the model that is known.
+    These are what balances the torques and, where the servo runs away, less dry friction. Of ends that the records hardly
+    tell apart, one with fewer parameters at their bounds is the model that is known.
     """
     first = settle(bench, servo, values)
     if not bench.far(first.fit):
