@@ -26,7 +26,8 @@ from bristle.plant.friction import law as find_law
 SHORTEST = 0.1  # s: in less, friction and inertia hardly show
 STEP = 1e-3  # s: longest internal step
 TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
-SWALLOWED, REACHED = 0.5, 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
+SWALLOWED = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
+MOSTLY = 0.5  # of the time: a dead zone that swallows more says that the input does next to nothing
 FALLEN = 0.25  # of the top speed, but for rare ones: up to there a Stribeck curve must have fallen
 POLE = 0.25  # of a segment: the slowest electrical pole
 EDGE = 0.05  # of the time, at either end, in which no step is looked for; of speeds, that are rare
@@ -76,7 +77,7 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
     periodic = ("cogging.periods", "position_friction.periods") if bench.linear else ("cogging.periods",)
     first, last = np.quantile(bench.motion.time, [EDGE, 1 - EDGE])
     middle = float(np.median(bench.motion.theta))
-    least_u, most_u = np.quantile(np.abs(bench.motion.u), [1 - REACHED, SWALLOWED])
+    least_u, most_u = np.quantile(np.abs(bench.motion.u), [1 - SWALLOWED, SWALLOWED])
     return {
         "dead_zone.width": (0.0, float(most_u)),
         "disturbance_step.onset": (float(first), float(last)),
@@ -87,6 +88,11 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
         "stribeck.speed": (0.0, FALLEN * float(np.quantile(np.abs(bench.motion.v), 1 - EDGE))),
         **{name: (least, math.inf) for name in periodic},
     }
+
+
+def usual(bench: Bench) -> dict[str, tuple[float, float]]:
+    """Return the intervals beyond which a parameter says what must be beyond doubt."""
+    return {"dead_zone.width": (0.0, float(np.quantile(np.abs(bench.motion.u), MOSTLY)))}
 
 
 def fixed_values(h: float) -> dict[str, float]:
@@ -104,7 +110,7 @@ def base_of(model: Model, bench: Bench) -> tuple[Servo, dict[str, float]]:
     free = tuple(f for f in servo.free if rigid or not f.name.startswith(f"{RIGID}."))
     own = {f"{effect}.{name}": value for effect, given in model.effects.items() for name, value in given.items()}
     more = tuple(f for effect, given in model.effects.items() for f in _held(effect, given))
-    servo = replace(servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid, limits=limits(bench))
+    servo = replace(servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid, limits=limits(bench), usual=usual(bench))
     return servo, {**values, **own}
 
 

@@ -30,7 +30,7 @@ from bristle.diagnosis.candidates import (
 )
 from bristle.diagnosis.feed import must_be_held
 from bristle.diagnosis.fit import Fit, Problem, evaluate, promise, refit, rescored, resume
-from bristle.diagnosis.judge import AGREED, CLEAR, DOUBTLESS, SIZE, Verdict, judged
+from bristle.diagnosis.judge import AGREED, ALONE, CLEAR, DOUBTLESS, SIZE, Verdict, judged
 from bristle.diagnosis.lens import Lens
 from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import numerical
@@ -71,7 +71,8 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort: E
     if not reached:
         return Verdict(tuple(tried), null, fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     best = max(reached, key=lambda c: c.merit)
-    beyond = [c for c in reached if c.gain_over(fit) > null.level(c.name)]
+    times = {c.name: 1.0 if c.within(stage.servo.usual) else ALONE for c in reached}
+    beyond = [c for c in reached if c.gain_over(fit) > times[c.name] * null.level(c.name)]
     if not beyond or best.merit <= Candidate("", fit).merit:
         return Verdict(tuple(tried), null, fit.total, None, best.gain_over(fit), 1.0, (), "no gain above what chance gives")
     return judged(bench, stage, tried, beyond, null)

@@ -51,7 +51,7 @@ def test_limits_follow_the_axis_and_the_records(tree: dict[str, Any], measured: 
     assert "position_friction.periods" not in rotary
     strength = np.abs(bench.motion.u)
     assert np.mean(strength > rotary["saturation.limit"][0]) == pytest.approx(0.8, abs=0.01)
-    assert np.mean(strength < rotary["dead_zone.width"][1]) == pytest.approx(0.5, abs=0.01)
+    assert np.mean(strength < rotary["dead_zone.width"][1]) == pytest.approx(0.8, abs=0.01)
     assert 0.0 < rotary["disturbance_step.onset"][0] < rotary["disturbance_step.onset"][1] < 12.0
     tree["input"] = {"column": "u", "kind": "force", "unit": "N"}
     tree["output"] = {"column": "theta", "kind": "position", "unit": "m"}

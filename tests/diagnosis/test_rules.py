@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import intervals, workflow
+from bristle.diagnosis import search as search_module
 from bristle.diagnosis.bench import HELD, Bench
 from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, Servo, beside, standing
 from bristle.diagnosis.candidates import Test as Worth
@@ -246,6 +247,16 @@ def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(away, 
     found = [s for whole, s in begun if whole.get("coulomb.Fc") == half and whole["cogging.periods"] == s["periods"]]
     assert bool(found) is away
     assert len(begun) > len(found)  # and as before
+
+
+def test_a_dead_zone_that_swallows_most_of_the_input_must_be_beyond_doubt(case, monkeypatch):
+    made = case("dead_zone")
+    assert made.base.servo.usual["dead_zone.width"][1] == pytest.approx(np.median(np.abs(made.bench.motion.u)))
+    odd = replace(made.base, servo=replace(made.base.servo, usual={"dead_zone.width": (0.0, 0.01)}))
+    assert look(made.bench, odd, ["dead_zone"], quiet).best.name == "dead_zone"
+    monkeypatch.setattr(search_module, "ALONE", 1e6)
+    assert look(made.bench, odd, ["dead_zone"], quiet).best is None
+    assert look(made.bench, made.base, ["dead_zone"], quiet).best.name == "dead_zone"
 
 
 def fitted(name, size, each, n=100):
