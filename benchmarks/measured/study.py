@@ -50,7 +50,7 @@ then, and not one through zero. The logged torque is that of the rotor, ahead of
 input is the measured current, which holds that of the compensation: what it mends is the motion, not the motor. With it off the
 cogging must be named; with it on it must be gone from the motion or much smaller, and may be named or not. The model runs away from
 these records: where its refit ends depends on how a processor rounds. With the arithmetic of another one the error off compensation
-falls from 0.00955 to 0.00913 rad; the names are the same, as they are from inertias 4 to 20 % off the nominal one.""",
+falls from 0.00955 to 0.00913 rad; the names are the same, and from a nominal inertia 4 % less.""",
 }
 
 

@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from bristle.cli import main as cli
 from bristle.diagnosis import Model, diagnose, fmu_model, prepare, records_from_arrays, write
+from bristle.diagnosis import bench as bench_module
 from bristle.diagnosis.modelfile import write_model
 from bristle.diagnosis.workflow import retried, teller
 from bristle.fmus import build
@@ -198,7 +199,7 @@ def test_a_linear_axis_has_nothing_that_turns(measured: Callable[..., Any], tree
 def test_a_model_that_runs_away_is_compared_over_shorter_stretches_if_there_are_any(
     measured: Callable[..., Any], model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(prepare, "AWAY", -1.0)
+    monkeypatch.setattr(bench_module, "AWAY", -1.0)
     t, u, y, _ = measured("gravity", 1)
     for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest stretch
         records = records_from_arrays(model, [("r", t[::every], u[::every], y[::every])])
