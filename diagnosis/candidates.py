@@ -80,8 +80,8 @@ class Servo:
 
     `rigid`: the set-valued friction has bristles that bend by less than the sensor's step; no model of rigid friction
     agrees with another more closely than that, and without them each effect would be asked to explain it.
-    `limits`: how far parameters of effects may move on this axis, where that is less than anywhere; `usual`: beyond what they
-    must be beyond doubt.
+    `limits`: how far parameters of effects may move on this axis, where that is less than anywhere; `credible`: beyond these
+    intervals an effect must be beyond doubt.
     """
 
     law: str
@@ -91,7 +91,7 @@ class Servo:
     fixed: Mapping[str, float]
     rigid: bool
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    usual: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    credible: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def simulator(self, segments: Segments, more: tuple[str, ...] = ()) -> Simulator:
         """Return a simulator of the servo with more effects added."""
@@ -159,7 +159,6 @@ class Candidate:
         free = {f.name for f in self.fit.free} & set(limits)
         ends = [(self.fit.values[name], end) for name in free for end in limits[name] if np.isfinite(end)]
         return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, end in ends)
-
 
     def within(self, ranges: Mapping[str, tuple[float, float]]) -> bool:
         """True if its own parameters lie in the intervals of those that have one."""

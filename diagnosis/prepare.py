@@ -90,8 +90,8 @@ def limits(bench: Bench) -> dict[str, tuple[float, float]]:
     }
 
 
-def usual(bench: Bench) -> dict[str, tuple[float, float]]:
-    """Return the intervals beyond which a parameter says what must be beyond doubt."""
+def credible(bench: Bench) -> dict[str, tuple[float, float]]:
+    """Return the intervals of parameters beyond which an effect must be beyond doubt."""
     return {"dead_zone.width": (0.0, float(np.quantile(np.abs(bench.motion.u), MOSTLY)))}
 
 
@@ -110,7 +110,9 @@ def base_of(model: Model, bench: Bench) -> tuple[Servo, dict[str, float]]:
     free = tuple(f for f in servo.free if rigid or not f.name.startswith(f"{RIGID}."))
     own = {f"{effect}.{name}": value for effect, given in model.effects.items() for name, value in given.items()}
     more = tuple(f for effect, given in model.effects.items() for f in _held(effect, given))
-    servo = replace(servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid, limits=limits(bench), usual=usual(bench))
+    servo = replace(
+        servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid, limits=limits(bench), credible=credible(bench),
+    )  # fmt: skip
     return servo, {**values, **own}
 
 

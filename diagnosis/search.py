@@ -36,6 +36,7 @@ from bristle.diagnosis.null import Null, largest_gain
 from bristle.diagnosis.numerics import numerical
 from bristle.diagnosis.size import fall, squares
 from bristle.diagnosis.views import MEASURED, Share, is_form, periods_of, shares
+from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
@@ -71,7 +72,7 @@ def look(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort: E
     if not reached:
         return Verdict(tuple(tried), null, fit.total, None, 0.0, 1.0, (), "no effect can join this model")
     best = max(reached, key=lambda c: c.merit)
-    times = {c.name: 1.0 if c.within(stage.servo.usual) else ALONE for c in reached}
+    times = {c.name: 1.0 if c.within(stage.servo.credible) else ALONE for c in reached}
     beyond = [c for c in reached if c.gain_over(fit) > times[c.name] * null.level(c.name)]
     if not beyond or best.merit <= Candidate("", fit).merit:
         return Verdict(tuple(tried), null, fit.total, None, best.gain_over(fit), 1.0, (), "no gain above what chance gives")
@@ -82,7 +83,7 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort:
     """Return the named effects refitted as far as they are promising, and the null of the largest gain."""
     fit, lens, far = stage.fit, lens_of(stage, bench), bench.far(stage.fit)
     e = evidence(bench.motion, lens, fit, bench.resolution, bench.turn)
-    together = _together(bench, stage) if far else lambda name: ()
+    together = _together(bench, stage, e) if far else lambda name: ()
 
     def quiet(left: Fit) -> Problem:
         return bench.left_by(left) if far and left.weight.any() else stage.problem
@@ -111,24 +112,19 @@ def _tried(bench: Bench, stage: Stage, names: Sequence[str], tell: Tell, effort:
     return tried, _null(stage.problem, lens, fit, tried)
 
 
-def _together(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]]:
+def _together(bench: Bench, stage: Stage, e: Evidence) -> Callable[[str], Sequence[Start]]:
     """Return what gives the starts of an effect together with the model, where the model's own fit is far off.
 
     They balance the torques along the measured motion or, where the law has a memory, start from the nominal model: one
     that was fitted without what is missing has bent its parameters to make up for it. Where it runs away, they start from
-    less dry friction too.
+    less dry friction too, where `e`, what the fitted model leaves, says.
     """
     joint = bench.joint(stage)
     given = joint.starts if joint.models else _from_nominal(bench, stage)
     less = loosened(stage)
     if not (less and bench.away(stage.fit)):
         return given
-    e = evidence(bench.motion, lens_of(stage, bench), stage.fit, bench.resolution, bench.turn)
-
-    def more(name: str) -> list[Start]:
-        return [*given(name), *((less | {f"{name}.{k}": v for k, v in s.items()}, s) for s in starts(name, e))]
-
-    return more
+    return lambda name: [*given(name), *_jointly(less, name, starts(name, e))]
 
 
 def _from_nominal(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]]:
@@ -141,9 +137,14 @@ def _from_nominal(bench: Bench, stage: Stage) -> Callable[[str], Sequence[Start]
     def begun(name: str) -> list[Start]:
         first = find_effect(name).parameters[0].name.removeprefix(f"{name}.")
         several = [s | {first: factor * s[first]} for s in starts(name, e) for factor in STRONGER if first in s]
-        return [({**nominal, **{f"{name}.{k}": v for k, v in s.items()}}, s) for s in several]
+        return _jointly(nominal, name, several)
 
     return begun
+
+
+def _jointly(values: Mapping[str, float], name: str, several: Sequence[Mapping[str, float]]) -> list[Start]:
+    """Return starts of an effect, each together with values of the model."""
+    return [({**values, **{f"{name}.{k}": v for k, v in s.items()}}, s) for s in several]
 
 
 def _null(problem: Problem, lens: Lens, fit: Fit, tried: Sequence[Candidate]) -> Null:

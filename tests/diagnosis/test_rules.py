@@ -10,8 +10,8 @@ import pytest
 
 from bristle.diagnosis import intervals, workflow
 from bristle.diagnosis import search as search_module
-from bristle.diagnosis.bench import HELD, Bench
-from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, Servo, beside, standing
+from bristle.diagnosis.bench import HELD, Bench, lens_of
+from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, Servo, beside, evidence, standing
 from bristle.diagnosis.candidates import Test as Worth
 from bristle.diagnosis.fit import Free
 from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged, matters
@@ -242,7 +242,9 @@ def test_bristles_also_begin_as_those_of_the_model(case):
 def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(away, case, monkeypatch):
     made = case("cogging")
     monkeypatch.setattr(Bench, "away", lambda bench, fit: away)
-    begun = _together(made.bench, made.base)("cogging")
+    lens = lens_of(made.base, made.bench)
+    e = evidence(made.bench.motion, lens, made.base.fit, made.bench.resolution, made.bench.turn)
+    begun = _together(made.bench, made.base, e)("cogging")
     half = 0.5 * made.base.fit.values["coulomb.Fc"]
     found = [s for whole, s in begun if whole.get("coulomb.Fc") == half and whole["cogging.periods"] == s["periods"]]
     assert bool(found) is away
@@ -251,8 +253,8 @@ def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(away, 
 
 def test_a_dead_zone_that_swallows_most_of_the_input_must_be_beyond_doubt(case, monkeypatch):
     made = case("dead_zone")
-    assert made.base.servo.usual["dead_zone.width"][1] == pytest.approx(np.median(np.abs(made.bench.motion.u)))
-    odd = replace(made.base, servo=replace(made.base.servo, usual={"dead_zone.width": (0.0, 0.01)}))
+    assert made.base.servo.credible["dead_zone.width"][1] == pytest.approx(np.median(np.abs(made.bench.motion.u)))
+    odd = replace(made.base, servo=replace(made.base.servo, credible={"dead_zone.width": (0.0, 0.01)}))
     assert look(made.bench, odd, ["dead_zone"], quiet).best.name == "dead_zone"
     monkeypatch.setattr(search_module, "ALONE", 1e6)
     assert look(made.bench, odd, ["dead_zone"], quiet).best is None
