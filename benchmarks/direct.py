@@ -1,6 +1,6 @@
 """What the methods without a first step reach: on sets S and R, on ramps, and on original LuGre plants (see docs/mathematics.md).
 
-    python benchmarks/direct.py --seeds 3          # prints the tables; exit code 1 if a promised figure is missed
+python benchmarks/direct.py --seeds 3          # prints the tables; exit code 1 if a promised figure is missed
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from records import PLANTS, SERVO, STEP, TRUE, record
+from standard_records import PLANTS, SERVO, STEP, TRUE, record
 
 from bristle.model.native import Native
 from bristle.observer import observer_program

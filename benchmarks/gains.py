@@ -1,6 +1,6 @@
 """The search for one setting of both steps that serves sets S and R and contains neither's truth (docs/gains.md).
 
-    python benchmarks/gains.py            # prints the tables of docs/gains.md
+python benchmarks/gains.py            # prints the tables of docs/gains.md
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from records import TRUE, observe, record
+from standard_records import TRUE, observe, record
 
 STEP1 = ("alpha2", "b", "Fc")
 STEP2 = ("sigma0", "sigma1", "sigma2", "c")
@@ -77,7 +77,6 @@ def main() -> None:
     for gamma in GAMMAS:
         name = ", ".join(f"{value:g}" for value in gamma)
         print(f"| {name} | {' | '.join(step1(gate, gamma, seeds) for gate in GATES)} |", flush=True)
-
 
 
 if __name__ == "__main__":

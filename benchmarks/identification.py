@@ -1,6 +1,6 @@
 """What the observers reach over seeds 1-12 and both orders of the reference, on sets S and R (see README).
 
-    python benchmarks/identification.py            # prints the tables; exit code 1 if a promised figure is missed
+python benchmarks/identification.py            # prints the tables; exit code 1 if a promised figure is missed
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from records import STEP, TRUE, observe, record
+from standard_records import STEP, TRUE, observe, record
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
@@ -46,9 +46,7 @@ CASES = (
 )
 
 
-def run_case(
-    case: Case, plant: str, order: int, seed: int, known: dict[str, float] = KNOWN
-) -> tuple[np.ndarray, np.ndarray]:
+def run_case(case: Case, plant: str, order: int, seed: int, known: dict[str, float] = KNOWN) -> tuple[np.ndarray, np.ndarray]:
     """Return (error at the end in %, last time the error exceeds 5 %) of each parameter."""
     data = record(plant, order, seed, case.seconds)
     if case.encoder:

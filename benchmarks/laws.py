@@ -1,6 +1,6 @@
 """What the other adaptation laws reach (docs/mathematics.md): parameters on S and R, prediction on L0 and L1, cost a step.
 
-    python benchmarks/laws.py            # prints the tables of docs/mathematics.md; --seeds N for fewer
+python benchmarks/laws.py            # prints the tables of docs/mathematics.md; --seeds N for fewer
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from identification import KNOWN, STEP1, STEP2, Case, row
-from records import SERVO, STEP, record
+from standard_records import SERVO, STEP, record
 
 from bristle.model.native import Native
 from bristle.observer import methods, observer_program

@@ -7,8 +7,8 @@
 
 Collected through the command line alone, so that nothing inside needs to have the same name: the generated C and Python of all
 FMUs, signals.csv of all shipped scenarios, and the numbers and names of diagnosis.json for the cases of scenarios/hidden and for
-the measured sets in the folder that BRISTLE_DATA names (../shared/data without it; a set that is not there is left out). Sentences are
-not compared. Both states have to be collected on the same machine: sticking amplifies how a processor rounds. `collect` goes on
+the measured sets in the folder that BRISTLE_DATA names (../shared/data without it; what is not there is left out). Sentences
+are not compared. Both states have to be collected on the same machine: sticking amplifies how a processor rounds. `collect` goes on
 where it was interrupted; `--quick` takes six hidden cases, two measured sets and three scenarios.
 """
 
@@ -30,19 +30,18 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parent / "measured"))
+
+import measured_data as measured
+from shared import write_json
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "benchmarks"))
-sys.path.insert(0, str(ROOT / "benchmarks" / "measured"))
-
-import records as measured
-from common import write_json
-
 Json = dict[str, Any]
 Job = Callable[[], Json]
 
 TEXTS = {  # keys of diagnosis.json that hold sentences or times, at any depth
-    "statement", "findings", "proposals", "experiment", "undetected", "decision", "note", "label", "seconds", "narrow", "provenance",
-    "wall_s",
+    "statement", "findings", "proposals", "experiment", "undetected", "decision", "note", "label", "seconds", "narrow",
+    "provenance", "wall_s",
 }  # fmt: skip
 QUICK = {
     "hidden": ("01", "05", "07", "12", "18", "23"), "measured": ("odrive_off", "go1_2kg"),
@@ -151,11 +150,15 @@ def jobs(command: Sequence[str], folder: Path, quick: bool) -> dict[str, Job]:
     return work
 
 
-def collect(target: Path, command: Sequence[str], workers: int, quick: bool) -> int:
+def collect(target: Path, command: Sequence[str], workers: int, quick: bool, only: Sequence[str]) -> int:
     """Write the answers of one state into a file, going on with what is there."""
     answers: Json = json.loads(target.read_text(encoding="utf-8")) if target.exists() else {}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(workers) as pool:
-        todo = {name: job for name, job in jobs(command, Path(folder), quick).items() if name not in answers}
+        todo = {
+            name: job
+            for name, job in jobs(command, Path(folder), quick).items()
+            if name not in answers and (not only or name in only)
+        }
         calls = {pool.submit(job): name for name, job in todo.items()}
         for done, call in enumerate(as_completed(calls), 1):
             answers[calls[call]] = call.result()
@@ -196,6 +199,7 @@ def main() -> int:
     one.add_argument("--bristle", default=shutil.which("bristle"), help="the command of the state to collect")
     one.add_argument("--jobs", type=int, default=2)
     one.add_argument("--quick", action="store_true")
+    one.add_argument("--only", nargs="*", default=[], metavar="NAME", help='such as "hidden 07" "scenario quick" "measured emps"')
     two = verbs.add_parser("compare")
     two.add_argument("before", type=Path)
     two.add_argument("after", type=Path)
@@ -204,7 +208,7 @@ def main() -> int:
         return compare(given.before, given.after)
     if given.bristle is None:
         parser.error("no bristle on the path; give --bristle")
-    return collect(given.target, [given.bristle], given.jobs, given.quick)
+    return collect(given.target, [given.bristle], given.jobs, given.quick, given.only)
 
 
 if __name__ == "__main__":

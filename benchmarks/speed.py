@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
+from bristle.common.cache import cached, digest
 from bristle.fmus import obtain
 from bristle.fmus.controller.definition import program as controller_program
 from bristle.fmus.host import Fmu
 from bristle.harness.loop import Bus, Instance, Session
-from bristle.model.cache import cached, digest
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 from bristle.model.native import Native
 from bristle.model.program import Program
@@ -92,6 +92,7 @@ def time_plain(parts: dict[str, tuple[Program, str]], steps: int) -> tuple[float
     ends = [np.array([address(link[i]) for link in LINKS], dtype=np.uintp) for i in (0, 1)]
     taps = np.array([address(port) for port in RECORD], dtype=np.uintp)
     record = np.zeros((steps + 1, len(RECORD)))
+
     def pointer(array: np.ndarray) -> ctypes.c_void_p:
         return ctypes.c_void_p(array.ctypes.data)
 

@@ -1,6 +1,6 @@
 """Open-loop validation of Approach II on the original LuGre plant over seeds and both orders (see README).
 
-    python benchmarks/validation.py            # prints the table; exit code 1 if a ratio to Coulomb exceeds 1/3
+python benchmarks/validation.py            # prints the table; exit code 1 if a ratio to Coulomb exceeds 1/3
 """
 
 from __future__ import annotations

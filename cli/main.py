@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from bristle.diagnosis.result import Diagnosis
+    from bristle.diagnosis.report.result import Diagnosis
     from bristle.harness.run import Run
 
 PASS, FAIL, ERROR = 0, 1, 2
@@ -246,8 +246,8 @@ def diagnose(
     if model is None and fmu is None:
         raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
     _check_effect(choose)
-    from bristle.diagnosis.export import IncompleteError, check_places, write
-    from bristle.model.output import output_folder
+    from bristle.common.output import output_folder
+    from bristle.diagnosis.report.export import IncompleteError, check_places, write
 
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
     with output_folder(out), _fraction("diagnose") as tell:
@@ -288,7 +288,7 @@ def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell:
 
 def _summary(found: Diagnosis, chosen: str | None = None) -> None:
     """Print the answer: the sentences, and the effects with their parameters; `chosen` is in the augmented model."""
-    from bristle.diagnosis.story import plain_texts
+    from bristle.diagnosis.report.text import plain_texts
 
     text = "\n".join(found.statement)
     for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):

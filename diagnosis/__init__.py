@@ -1,14 +1,14 @@
 """Measured records against a model: where they disagree, the name of what is missing, and the model with it added."""
 
-from bristle.diagnosis.export import write
-from bristle.diagnosis.foreign import diagnose_fmu
-from bristle.diagnosis.intake import load_records, records_from_arrays
+from bristle.common.errors import BristleError
+from bristle.diagnosis.fmu.model import fmu_model
+from bristle.diagnosis.fmu.workflow import diagnose_fmu
 from bristle.diagnosis.modelfile import Model, load_model
-from bristle.diagnosis.plantfmu import fmu_model
-from bristle.diagnosis.record import Record
-from bristle.diagnosis.result import Diagnosis
+from bristle.diagnosis.report.export import write
+from bristle.diagnosis.report.result import Diagnosis
 from bristle.diagnosis.workflow import diagnose
-from bristle.model.errors import BristleError
+from bristle.records.intake import load_records, records_from_arrays
+from bristle.records.record import Record
 
 __all__ = [
     "BristleError", "Diagnosis", "Model", "Record", "diagnose", "diagnose_fmu", "fmu_model", "load_model", "load_records",

@@ -12,10 +12,10 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
-from bristle.model.errors import BristleError, suggest
-from bristle.model.table import factor_to
-from bristle.model.toml import Section, first_mistake, mistake, read_toml
-from bristle.model.units import parse_unit, quantity
+from bristle.common.errors import BristleError, suggest
+from bristle.common.table import factor_to
+from bristle.common.toml import Section, first_mistake, mistake, read_toml
+from bristle.common.units import parse_unit, quantity
 from bristle.model.variables import Parameter
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -27,13 +27,11 @@ from bristle.plant.servo import A2, B, J, servo
 Given = str | int | float | bool
 Kind = Literal["torque", "force", "voltage", "current"]
 INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}
-REACH = 5.0  # a parameter without bounds may move by this factor either way
+BOUND_FACTOR = 5.0  # a parameter without bounds may move by this factor either way
 NO_LIMIT = 1e6  # u_max: the measured input is what arrived, so the model must not clip it
 
 
 # -- what a file may hold ----------------------------------------------------------------------------------------------
-
-
 class TimeTable(Section):
     """The column of the time."""
 
@@ -73,8 +71,6 @@ class ModelTable(Section):
 
 
 # -- the model -----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Column:
     """A column of a record: its name, its unit, and the scale over that unit, where there is one."""
@@ -224,8 +220,6 @@ def _declared(friction: str) -> dict[str, Parameter]:
 
 
 # -- from the file to the model ------------------------------------------------------------------------------------------
-
-
 def _model(table: ModelTable, where: Path | str) -> Model:
     known = laws()
     if table.friction not in known:
@@ -400,9 +394,7 @@ def _bounds(
             raise mistake(where, key, value, "must be two numbers, [lowest, highest]; leave it out if the parameter is to stay")
         if full in found:
             raise mistake(where, key, value, f"{full} is given twice; give it once")
-        low, high = (
-            _number(f"{key}[{k}]", each, names[full], where, linear, table.input.kind) for k, each in enumerate(value)
-        )
+        low, high = (_number(f"{key}[{k}]", each, names[full], where, linear, table.input.kind) for k, each in enumerate(value))
         if low >= high:
             raise mistake(where, key, list(value), "must rise; write [lowest, highest], or leave it out if the parameter stays")
         nominal = parameters[full]
@@ -416,7 +408,7 @@ def default_bounds(law: FrictionLaw, parameters: Mapping[str, float]) -> dict[st
     """Return the bounds of a model that gives none.
 
     J, a2 and the levels of the law's friction (its parameters in N.m, or in 1/s2 where it is normalised) move by a factor
-    of `REACH` either way, down to 0 where 0 is allowed. What is nominally 0 has no scale to move on, and stays; so does
+    of `BOUND_FACTOR` either way, down to 0 where 0 is allowed. What is nominally 0 has no scale to move on, and stays; so does
     b, because an input's gain and all other parameters share one factor.
     """
     levels = [p for p in law.parameters if p.unit in ("N.m", "1/s2")]
@@ -424,7 +416,7 @@ def default_bounds(law: FrictionLaw, parameters: Mapping[str, float]) -> dict[st
     for p in (J, A2, *levels):
         value = parameters[p.name]
         if value != 0.0:
-            ends = sorted((0.0 if p.minimum == 0.0 else value / REACH, value * REACH))
+            ends = sorted((0.0 if p.minimum == 0.0 else value / BOUND_FACTOR, value * BOUND_FACTOR))
             found[p.name] = (max(ends[0], p.minimum), min(ends[1], p.maximum))
     return found
 
@@ -450,8 +442,6 @@ def _effect(name: str, given: Mapping[str, Given], where: Path | str, linear: bo
 
 
 # -- and back ------------------------------------------------------------------------------------------------------------
-
-
 def model_text(model: Model) -> str:
     """Return a model file that reads back as this model; numbers in full precision, units as comments."""
     short = {name: name.removeprefix(f"{model.friction}.") for name in model.parameters}

@@ -10,20 +10,20 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bristle.diagnosis import result as answer
-from bristle.diagnosis.bench import Bench, Stage, settle
-from bristle.diagnosis.clock import must_agree
-from bristle.diagnosis.conclude import conclude, fell_between, gap_between, views_beside
-from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.feed import NotHeldError, fed
-from bristle.diagnosis.intake import must_show
-from bristle.diagnosis.modelfile import REACH, Model, must_be_model
-from bristle.diagnosis.plausibility import Plausibility, check
-from bristle.diagnosis.prepare import base_of, bench_of, nominal_gap, prepared
-from bristle.diagnosis.record import Record
-from bristle.diagnosis.remains import remains
-from bristle.diagnosis.search import Tell, search
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
+from bristle.diagnosis.checks.excitation import excitation
+from bristle.diagnosis.checks.input_hold import NotHeldError, fed
+from bristle.diagnosis.checks.plausibility import Plausibility, check
+from bristle.diagnosis.conclusion import conclude, fall_between, gap_between, views_before_and_after
+from bristle.diagnosis.estimation.dataset import Dataset, FittedModel, fit_with_noise
+from bristle.diagnosis.localisation.unexplained import unexplained
+from bristle.diagnosis.modelfile import BOUND_FACTOR, Model, must_be_model
+from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
+from bristle.diagnosis.report import result as answer
+from bristle.diagnosis.selection.stepwise import Tell, search
+from bristle.records.clock import must_agree
+from bristle.records.intake import must_show
+from bristle.records.record import Record
 
 MAKES_UP = "Effects explain these records, but they only make up for bounds that are too tight."
 
@@ -78,12 +78,12 @@ def retried(work: Callable[[Sequence[Record], float], answer.Diagnosis], records
 
 def _diagnosed(model: Model, records: Sequence[Record], tell: Tell, begun: float) -> answer.Diagnosis:
     said = check(model, records)
-    bench = bench_of(model, records)
+    dataset = dataset_of(model, records)
     if said.proposals:
-        return mend_first(model, records, said, nominal_gap(bench, *base_of(model, bench)), time.perf_counter() - begun)
+        return mend_first(model, records, said, nominal_gap(dataset, *base_servo_of(model, dataset)), time.perf_counter() - begun)
     tell("base refit", 0.0)
-    bench, base, lines = prepared(model, records, bench)
-    found = examine(model, records, bench, base, tell, begun)
+    dataset, base, lines = prepare_model(model, records, dataset)
+    found = examine(model, records, dataset, base, tell, begun)
     return replace(found, findings=(*found.findings, *lines, *said.findings))
 
 
@@ -116,39 +116,41 @@ def mend_first(
     )  # fmt: skip
 
 
-def examine(model: Model, records: Sequence[Record], bench: Bench, base: Stage, tell: Tell, begun: float) -> answer.Diagnosis:
+def examine(
+    model: Model, records: Sequence[Record], dataset: Dataset, base: FittedModel, tell: Tell, begun: float
+) -> answer.Diagnosis:
     """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
-    final, rounds = search(bench, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
-    if final.servo.effects != base.servo.effects and (line := better_unbound(model, bench, base, final)):
+    final, rounds = search(dataset, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
+    if final.servo.effects != base.servo.effects and (line := better_unbound(model, dataset, base, final)):
         given = replace(rounds[0], named=False, withdrawn=True, decision="it only makes up for bounds")
-        found = conclude(model, records, bench, base, base, [given], begun)
+        found = conclude(model, records, dataset, base, base, [given], begun)
         return replace(
             found, verdict="not_identifiable", statement=(f"{MAKES_UP} Proposed: {line}.",),
             ties=(), experiment="", choices={}, choice_parameters={}, proposals=(line,), undetected={},
             remains=answer.Remains(False, None, 0.0),  # nothing is left with the wider bounds until they are tried
         )  # fmt: skip
     tell("what remains", 0.85)
-    if bench.narrow and final is not base and _in_part(model, bench, base, final):
+    if dataset.narrow and final is not base and _in_part(model, dataset, base, final):
         why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too poor records to name it"
         final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
-    return conclude(model, records, bench, base, final, rounds, begun)
+    return conclude(model, records, dataset, base, final, rounds, begun)
 
 
-def _in_part(model: Model, bench: Bench, base: Stage, final: Stage) -> bool:
+def _in_part(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> bool:
     """True if something remains beside what was found."""
-    _, after = views_beside(bench, base, final)
-    gap = gap_between(model, bench, base, final)
-    return remains(after, final.fit.values, (), gap, bench.turn, fell_between(bench, base, final)).flag
+    _, after = views_before_and_after(dataset, base, final)
+    gap = gap_between(model, dataset, base, final)
+    return unexplained(after, final.fit.values, (), gap, dataset.turn, fall_between(dataset, base, final)).flag
 
 
-def better_unbound(model: Model, bench: Bench, base: Stage, final: Stage) -> str | None:
+def better_unbound(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> str | None:
     """Return a proposal where wider bounds alone explain the records better than the effects that were found within them."""
     tight = {f.name: f for f in base.servo.free if f.name in model.bounds and f.barred(base.fit.values[f.name])}
     if not tight:
         return None
-    free = tuple(f.widened(REACH) if f.name in tight else f for f in base.servo.free)
-    wide = settle(bench, replace(base.servo, free=free), base.fit.values)
-    price = 0.5 * (len(final.fit.free) - len(wide.fit.free)) * math.log(np.count_nonzero(bench.train) + 1.0)
+    free = tuple(f.widened(BOUND_FACTOR) if f.name in tight else f for f in base.servo.free)
+    wide = fit_with_noise(dataset, replace(base.servo, free=free), base.fit.values)
+    price = 0.5 * (len(final.fit.free) - len(wide.fit.free)) * math.log(np.count_nonzero(dataset.train) + 1.0)
     if wide.fit.total < final.fit.total - price:
         return None
     lines = []

@@ -15,7 +15,7 @@ from bristle.plant.friction import laws
 from bristle.plant.servo import LOAD_STARTS, servo_program
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("model", "plant", "observer", "fmus", "harness", "diagnosis")
+ROOMS = ("common", "model", "plant", "observer", "records", "fmus", "harness", "diagnosis")
 SOURCE = re.compile(r"Source: (.+?)(?:\n\s*\n|\Z)", re.DOTALL)
 
 

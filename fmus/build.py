@@ -12,16 +12,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bristle.model.cache import cached, digest
+from bristle.common.cache import cached, digest
+from bristle.common.errors import BristleError
 from bristle.model.compiler import FLAGS, compiler_identity
-from bristle.model.errors import BristleError
 
 if TYPE_CHECKING:
     from bristle.model.program import Program
 
 WHAT = ("plant", "observer", "controller")
 CHOICE = {"plant": "law", "observer": "method"}  # what one variant alone is chosen by
-INGREDIENTS = ("bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
+INGREDIENTS = ("bristle.common", "bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
 LIBRARIES = ("bristle", "casadi", "fmpy", "pythonfmu")
 
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from xml.etree import ElementTree as ET
 
+from bristle.common.units import BASE, parse_unit
 from bristle.fmus.dependencies import initial, structural
 from bristle.fmus.interface import Exposed, Interface
 from bristle.model.system import SAMPLE_TIME, TOLERANCE
-from bristle.model.units import BASE, parse_unit
 from bristle.model.variables import Parameter
 
 STOP_TIME = 20.0  # s, of the default experiment

@@ -15,8 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from bristle.model.errors import BristleError, suggest
-from bristle.model.units import parse_unit, quantity
+from bristle.common.errors import BristleError, suggest
+from bristle.common.units import parse_unit, quantity
 
 Value = float | int | bool | str
 

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 
 LOOK = 0.05  # s between two looks at the child
 

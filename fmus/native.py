@@ -8,11 +8,11 @@ import tempfile
 from importlib.resources import files
 from pathlib import Path
 
+from bristle.common.errors import BristleError
 from bristle.fmus.description import build_description, description_2, description_3
 from bristle.fmus.documentation import documentation
 from bristle.fmus.interface import Interface, c_tables
 from bristle.model.compiler import SUFFIX, compile_shared
-from bristle.model.errors import BristleError
 from bristle.model.program import Program
 from bristle.model.sources import c_sources
 

@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a ZIP file knows
 PERMISSIONS = 0o100644 << 16

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.errors import BristleError
 from bristle.fmus.host import Fmu, Slave
 from bristle.fmus.isolate import isolated
-from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
 

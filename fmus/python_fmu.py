@@ -6,11 +6,11 @@ from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 
+from bristle.common.cache import digest
+from bristle.common.errors import BristleError
 from bristle.fmus.description import description_2
 from bristle.fmus.interface import Exposed, Interface
 from bristle.fmus.native import common_files
-from bristle.model.cache import digest
-from bristle.model.errors import BristleError
 from bristle.model.program import Program
 from bristle.model.python import python_source
 

@@ -6,8 +6,8 @@ import tomllib
 from importlib.resources import files
 from pathlib import Path
 
+from bristle.common.output import output_folder
 from bristle.fmus.host import Fmu
-from bristle.model.output import output_folder
 
 
 def scenarios() -> dict[str, str]:

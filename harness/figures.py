@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.harness.metrics import BAND
-from bristle.harness.validation import Validation
-from bristle.model.drawing import (
+from bristle.common.drawing import (
     BLUE,
     DEGREES,
     GREEN,
@@ -28,6 +26,8 @@ from bristle.model.drawing import (
     svg,
     thin,
 )
+from bristle.harness.metrics import BAND
+from bristle.harness.validation import Validation
 
 Array = NDArray[np.float64]
 

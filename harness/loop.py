@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.cache import cached, digest
+from bristle.common.errors import BristleError
 from bristle.fmus.host import Fmu, Slave, Value
-from bristle.model.cache import cached, digest
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
-from bristle.model.errors import BristleError
 
 Array = NDArray[np.float64]
 Port = tuple[str, str]  # (unit, variable)

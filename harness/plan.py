@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from bristle.common.errors import BristleError, suggest
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
 from bristle.harness.record import Samples, read_record
 from bristle.harness.scenario import Loaded, Part, Scenario
-from bristle.model.errors import BristleError, suggest
 
 Kind = Literal["native", "python"]
 
@@ -205,7 +205,7 @@ def _events(setup: Setup) -> tuple[tuple[int, Port, float], ...]:
 
 
 def _time(given: object) -> float:
-    from bristle.model.units import quantity
+    from bristle.common.units import quantity
 
     if not isinstance(given, (str, int, float)):
         raise BristleError('not a time; write for example "60 s"')

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bristle.common.errors import BristleError
+from bristle.common.table import Array, read_columns, si_column
 from bristle.harness.scenario import Column, Record
-from bristle.model.errors import BristleError
-from bristle.model.table import Array, read_columns, si_column
 
 UNIFORM = 0.01  # a sampling interval may differ from the mean by this fraction
 SHORTEST = 10  # samples

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from bristle.model.html import badge, figure, number, page, table, unit
+from bristle.common.html import badge, figure, number, page, table, unit
 
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ",

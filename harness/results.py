@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.model.errors import BristleError
-from bristle.model.output import complain, write_file
+from bristle.common.errors import BristleError
+from bristle.common.output import complain, write_file
 
 OURS = {".json", ".csv", ".html", ".svg"}  # what a result folder consists of
 ROWS = 2000  # of the thinned signals.csv

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.output import output_folder, plain, to_json
 from bristle.fmus.host import Fmu
 from bristle.harness import metrics, results
 from bristle.harness.isolate import simulate_isolated
@@ -23,7 +24,6 @@ from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
 from bristle.harness.plan import validation as validation_bus
 from bristle.harness.scenario import Loaded, load
 from bristle.harness.validation import Validation, identification_data, identified_model, lean_fmus, told, validate
-from bristle.model.output import output_folder, plain, to_json
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)

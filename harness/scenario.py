@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
-from bristle.model.errors import BristleError
-from bristle.model.toml import Section, first_mistake, mistake, read_toml
-from bristle.model.units import quantity
+from bristle.common.errors import BristleError
+from bristle.common.toml import Section, first_mistake, mistake, read_toml
+from bristle.common.units import quantity
 
 MAX_STEPS = 5_000_000  # a run keeps every step in memory
 PARTS = ("plant", "controller", "observer")

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 
 # No fused multiply-add: every platform and the Python twin then give the same digits.
 # No check of array bounds: loops run to a variant's own number of states, which -O3 suspects to be larger than all there are.
@@ -63,7 +63,7 @@ def compiler_identity() -> str:
 
 def _environment(folder: Path) -> dict[str, str]:
     """Return the environment of a compilation: nothing is left outside our folders, and zig needs no home."""
-    from bristle.model.cache import cache_folder
+    from bristle.common.cache import cache_folder
 
     zig = {f"ZIG_{which}_CACHE_DIR": str(cache_folder() / "zig") for which in ("GLOBAL", "LOCAL")}
     return zig | os.environ | {"TMPDIR": str(folder.resolve())}

@@ -11,9 +11,9 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.model.cache import cached, digest
+from bristle.common.cache import cached, digest
+from bristle.common.errors import BristleError, SimulationError
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
-from bristle.model.errors import BristleError, SimulationError
 from bristle.model.program import Program
 from bristle.model.sources import c_sources, fingerprint
 

@@ -15,12 +15,12 @@ from typing import Any
 
 import casadi as ca
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
+from bristle.common.units import per_second
 from bristle.model.proximal import Unknown, proximal
 from bristle.model.rosenbrock import rodas
 from bristle.model.switching import at_the_point
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
-from bristle.model.units import per_second
 from bristle.model.variables import Parameter, State, Variable
 
 SX = ca.SX

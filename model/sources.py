@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi as ca
 
-from bristle.model.cache import digest
+from bristle.common.cache import digest
 from bristle.model.emit import emit_c
 from bristle.model.program import Program, Variant
 from bristle.model.system import System

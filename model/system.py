@@ -8,26 +8,42 @@ from typing import Any
 
 import casadi as ca
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.model.variables import Namespace, Parameter, State, Variable
 
 SX = ca.SX
 
-SAMPLE_TIME = Parameter(
-    "sample_time", "Ts", "s", 1e-3, 1e-6, 1.0, "sampling period", "dixit2008 section IV-C"
-)
+SAMPLE_TIME = Parameter("sample_time", "Ts", "s", 1e-3, 1e-6, 1.0, "sampling period", "dixit2008 section IV-C")
 TOLERANCE = Parameter(
-    "solver.tolerance", "tol", "1", 2e-8, 1e-13, 1e-2,
-    "local error allowed in one internal step, relative to the size of each state", "hairer1996 section IV.7"
+    "solver.tolerance",
+    "tol",
+    "1",
+    2e-8,
+    1e-13,
+    1e-2,
+    "local error allowed in one internal step, relative to the size of each state",
+    "hairer1996 section IV.7",
 )
 MAX_STEP = Parameter("solver.max_step", "h_max", "s", 1e-3, 1e-7, 1.0, "longest internal step", "hairer1996 section IV.7")
 MAX_STEPS = Parameter(
-    "solver.max_steps", "n_max", "1", 1e5, 1.0, 1e9,
-    "internal steps and samples allowed in one communication step", "hairer1996 section IV.7"
+    "solver.max_steps",
+    "n_max",
+    "1",
+    1e5,
+    1.0,
+    1e9,
+    "internal steps and samples allowed in one communication step",
+    "hairer1996 section IV.7",
 )
 FRICTION_STEP = Parameter(
-    "solver.friction_step", "h", "s", 1e-4, 1e-7, 1e-2,
-    "internal step of the set-valued friction (second-order accurate)", "moreau1988"
+    "solver.friction_step",
+    "h",
+    "s",
+    1e-4,
+    1e-7,
+    1e-2,
+    "internal step of the set-valued friction (second-order accurate)",
+    "moreau1988",
 )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 
 
 class Named(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.model.program import Program
 from bristle.model.variables import unique
 from bristle.observer.method import Method, observer

@@ -8,7 +8,7 @@ from bristle.model.basis import gaussian
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, levant
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 EQUATION = "dixit2008 eq. (19)-(22)"
@@ -62,14 +62,14 @@ def gain_states() -> tuple[State, ...]:
     )
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Differentiate what was sampled at k-1, then let the observer see v and v' as its measured state.
 
     With A - K C = -k I in zhang2002 the row of x1 = v carries no parameter, and the row of x2 = v' is
     Ups' = -k Ups + G,   x2^' = G theta^ + k (x2 - x2^) + Ups theta^',   held over a sample with G and x2 linear.
     Source: dixit2008 eq. (19)-(22); levant1998, levant2003, zhang2002.
     """
-    p = shop.p
+    p = context.p
     velocity, voltage = stack(p, "velocity", 3), stack(p, "voltage", 2)
     velocity_new = levant.second_order(velocity, s.y0, p.v_limit, s.period)
     voltage_new = levant.first_order(voltage, s.u, p.u_limit, s.period)

@@ -7,21 +7,21 @@ import casadi as ca
 from bristle.model.variables import Parameter, State
 from bristle.observer import besancon, information, zhang
 from bristle.observer.approach_one import ENTRIES, adapt, estimates, gain_parameters, gain_states, regressor
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 STEEPEST = 1e3  # rad/s2; an unlikely estimate of v' does not enter the regressor
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Let the observer (6) run with n = 2 on x1 = v, x2 = v' over the sample before the last.
 
     Of that one both ends of u are known, and with them u' by linear interpolation. The terms of G in x2 at its end are solved
     for, as in the observer of step 2.
     Source: dixit2008 eq. (6) and (19)-(22), the second option of Approach I; besancon2004.
     """
-    p = shop.p
-    f = besancon.filter_of(shop, s)
+    p = context.p
+    f = besancon.filter_of(context, s)
     du = (s.u - p.u_before) / s.period
     x, upsilon = stack(p, "x", 2), stack(p, "upsilon", 2, len(ENTRIES))
     theta = ca.vertcat(*(p[f"theta_{name}"] for name in ENTRIES))

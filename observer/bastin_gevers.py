@@ -9,7 +9,7 @@ import casadi as ca
 
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 DEGREE = math.pi / 180.0
@@ -110,8 +110,8 @@ def adapt(p: Namespace, s: Sample, vc: SX) -> dict[str, SX]:
     return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {"step1_v": x_new, "step1_gate": gate}
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     return Update(
         next=adapt(p, s, p.vc),
         estimates={name: p[f"step1_{name}"] for name in NAMES},

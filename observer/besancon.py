@@ -6,7 +6,7 @@ import casadi as ca
 
 from bristle.model.variables import Namespace
 from bristle.observer import zhang
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 K0 = (2.0, 1.0)
@@ -14,15 +14,13 @@ LAM = 50.0
 STARTS = (300.0, 300.0, 300.0, 100.0)  # round numbers, of no plant
 
 
-def filter_of(shop: Workshop, s: Sample) -> zhang.Filter:
+def filter_of(context: EquationContext, s: Sample) -> zhang.Filter:
     """Compute the exact second-order filter from the gains k1, k2 and lam."""
-    p = shop.p
-    return zhang.make_filter(shop, ca.vertcat(p.k1, p.k2), p.lam, s.period)
+    p = context.p
+    return zhang.make_filter(context, ca.vertcat(p.k1, p.k2), p.lam, s.period)
 
 
-def predict(
-    f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, unit: float = 1.0
-) -> tuple[SX, SX]:
+def predict(f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, unit: float = 1.0) -> tuple[SX, SX]:
     """Advance x^ = (v^, -w^) and Ups over one sample for x1' = x2 - alpha2 v + b u, x2' = psi theta.
 
     v is the measured velocity, linear between samples, u is held. The term c |v| x2 of psi at the end of the sample
@@ -38,9 +36,9 @@ def predict(
     return x_new, f.phi @ ups + f.m0[:, 1] @ psi0 + f.m1[:, 1] @ psi1
 
 
-def step(shop: Workshop, s: Sample, f: zhang.Filter, alpha2: SX, b: SX) -> dict[str, SX]:
+def step(context: EquationContext, s: Sample, f: zhang.Filter, alpha2: SX, b: SX) -> dict[str, SX]:
     """Return the next states of the matrix-gain observer with the given alpha2 and b."""
-    p = shop.p
+    p = context.p
     x, ups, theta, mean = zhang.read(p, 2)
     x, ups = predict(f, x, ups, theta, s, alpha2, b)
     new = zhang.gradient(ups, theta, s.y1 - x[0], zhang.matrix_gain(p), s.period, low=True)
@@ -52,10 +50,10 @@ def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     return zhang.averaged(p), {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     estimates, signals = published(p, p.alpha2)
-    return Update(step(shop, s, filter_of(shop, s), p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
+    return Update(step(context, s, filter_of(context, s), p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
 
 
 METHOD = Method(

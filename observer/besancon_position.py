@@ -6,7 +6,7 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import besancon, zhang
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 LAM = 85.0
@@ -65,9 +65,9 @@ def predict(x: SX, ups: SX, theta: SX, u: SX, h: SX, alpha2: SX, b: SX) -> tuple
     return ahead, f @ ups + m0[:, 1] @ psi0 + m1[:, 1] @ psi1
 
 
-def step(shop: Workshop, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
+def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
     """Return the next states of the observer with the given alpha2 and b."""
-    p = shop.p
+    p = context.p
     x, ups, theta, mean = zhang.read(p, 3)
     x, ups = predict(x, ups, theta, s.u, s.period, alpha2, b)
     error = s.y1 - x[0]
@@ -83,10 +83,10 @@ def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     return zhang.averaged(p), {"theta": p.x0, "v": p.x1, "w": -p.x2, "F": -p.x2 + alpha2 * p.x1}
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     estimates, signals = published(p, p.alpha2)
-    return Update(step(shop, s, p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
+    return Update(step(context, s, p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:

@@ -16,7 +16,7 @@ import casadi as ca
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import zhang
 from bristle.observer.interval import TINY, Interval
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
 
 SX = ca.SX
 EQUATION = "cao2003; dixit2008 eq. (7)-(10)"
@@ -161,12 +161,12 @@ def upper(p: Namespace, e: Equation, steady: SX) -> tuple[SX, SX, SX]:
     )
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Let the upper level narrow the region, and the lower level take a step in it.
 
     Source: cao2003.
     """
-    p = shop.p
+    p = context.p
     known, steady = equation(p, s)
     lo, hi, contradicts = upper(p, known, steady)
     theta, region = stack(p, "theta", 4), [Interval(lo[i], hi[i]) for i in PLACES]

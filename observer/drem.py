@@ -15,7 +15,7 @@ from bristle.model.basis import gaussian
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import extension, zhang
 from bristle.observer.besancon import STARTS
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 SOURCE = "aranovskiy2017"
@@ -114,8 +114,8 @@ def published(p: Namespace, v: SX, alpha2: SX) -> tuple[dict[str, SX], dict[str,
     return {name: p[f"step2_{name}"] for name in zhang.NAMES}, {"v": v, "w": w, "F": w + alpha2 * v}
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     return Update(step(p, s, p.alpha2, p.b), *published(p, p.last_y, p.alpha2))
 
 

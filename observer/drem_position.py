@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from bristle.observer import drem, smoothing, zhang
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 BANDWIDTH = 15.0
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     velocity, states = smoothing.smooth(p, s)
     return Update(states | drem.step(p, velocity, p.alpha2, p.b), *drem.published(p, p.smoother0, p.alpha2))
 

@@ -11,7 +11,7 @@ from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import kalman, rls
 from bristle.observer.kalman import STATES
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c", "tau")
@@ -43,8 +43,8 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX]:
     return kalman.bounded(z, low, {place[name]: SX(most) for name, most in HIGHEST.items()}), covariance
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     go = p.samples * s.period >= p.start_time
     z, covariance = _filter(p, s)
     step1 = rls.estimates(p)

@@ -8,7 +8,7 @@ from bristle.model.linear import Elimination
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import extension, filtered, rls
 from bristle.observer.bastin_gevers import start_parameters
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
 from bristle.observer.rls import Regression
 
 SX = ca.SX
@@ -39,8 +39,8 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     )
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     new = adapt(p, filtered.regression(p, s), s.period)
     return Update(new, rls.estimates(p), {"v": filtered.velocity(p, stack(p, "theta", 3))})
 

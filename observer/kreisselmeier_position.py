@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from bristle.observer import extension, filtered, kreisselmeier, rls
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     new = kreisselmeier.adapt(p, rls.regression(p, s), s.period)
     return Update(new, rls.estimates(p), {"v": p.last_v})
 

@@ -7,7 +7,7 @@ import casadi as ca
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import filtered, rls
 from bristle.observer.bastin_gevers import gamma_parameters, start_parameters
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
 from bristle.observer.rls import Regression
 
 SX = ca.SX
@@ -32,8 +32,8 @@ def parameters(prefix: str, gains: tuple[float, float, float]) -> tuple[Paramete
     return (*gamma_parameters(prefix, gains, SOURCE), *start_parameters(prefix, SOURCE))
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     new = adapt(p, filtered.regression(p, s), s.period)
     return Update(new, rls.estimates(p), {"v": filtered.velocity(p, stack(p, "theta", 3))})
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from bristle.observer import filtered, luders_narendra, rls
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     new = luders_narendra.adapt(p, rls.regression(p, s), s.period)
     return Update(new, rls.estimates(p), {"v": p.last_v})
 

@@ -21,7 +21,7 @@ from bristle.model.linear import Elimination
 from bristle.model.variables import Parameter, State
 from bristle.observer import filtered, rls
 from bristle.observer.bastin_gevers import gamma_parameters, gate_parameter, start_parameters
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 SOURCE = "marino1990"
@@ -91,21 +91,21 @@ def driven(middle: SX, u: SX, sign: SX, h: SX) -> SX:
     return ca.vertcat(ca.horzcat(-h * middle, h**2 / 2 * u, -(h**2) / 2 * sign), ca.horzcat(0, h * u, -h * sign))
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Run the observer while |v| > vc, with q counted from the gate's opening.
 
     Speed for the gate and its sign come from position through two low-pass sections. At the gate's opening x2 is not
     known better than that; nothing adapts until the observer has forgotten it.
     Source: marino1990; dixit2008 eq. (23) and the remark on position measurement at the end of section III.
     """
-    p, h = shop.p, s.period
+    p, h = context.p, s.period
     low = 1 - ca.exp(-p.cutoff * h)
     once = p.once + low * ((s.y1 - s.y0) / h - p.once)
     speed = p.speed + low * (once - p.speed)
     runs = ca.fabs(speed) > p.vc
     psi = driven((s.y0 + s.y1) / 2 - p.origin, s.u, ca.sign(speed), h)
     c = chain(2, p.lam, p.zero, h)
-    c = Chain(c.phi, shop.constant("b", c.b), shop.constant("k", c.k))
+    c = Chain(c.phi, context.constant("b", c.b), context.constant("k", c.k))
     clear = p.clear + h
     gamma = ca.if_else(clear > p.hold_off, ca.vertcat(p.gamma1, p.gamma2, p.gamma3), 0)
     theta = stack(p, "theta", 3)

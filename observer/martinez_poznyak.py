@@ -18,7 +18,7 @@ import casadi as ca
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import zhang
 from bristle.observer.besancon import STARTS
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 from bristle.observer.rls import least_squares
 
 SX = ca.SX
@@ -86,8 +86,8 @@ def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     return {name: p[f"step2_{name}"] for name in zhang.NAMES}, {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     return Update(step(p, s, p.alpha2, p.b), *published(p, p.alpha2), first={"x0": s.y1})
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from bristle.observer import martinez_poznyak, smoothing, zhang
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 BANDWIDTH = 10.0  # 1/s; the counts of an encoder are in nu, which has to be averaged for longer
 NOISE = 2.0  # rad/s2
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     velocity, states = smoothing.smooth(p, s)
     step = martinez_poznyak.step(p, velocity, p.alpha2, p.b)
     return Update(states | step, *martinez_poznyak.published(p, p.alpha2))

@@ -48,7 +48,7 @@ class Update:
     valid: dict[str, SX] = field(default_factory=dict)
 
 
-class Workshop:
+class EquationContext:
     """What a method's equations are written with: symbols of parameters and states, and constants made once."""
 
     def __init__(self, system: System, p: Namespace) -> None:
@@ -72,7 +72,7 @@ class Method:
     reads: str
     parameters: tuple[Parameter, ...]
     states: tuple[State, ...]
-    equations: Callable[[Workshop, Sample], Update]
+    equations: Callable[[EquationContext, Sample], Update]
 
 
 def vector_states(name: str, unit: str, description: str, count: int, initial: object = 0.0) -> tuple[State, ...]:
@@ -139,7 +139,7 @@ def observer(method: Method) -> System:
     last_y = system.sampled(State("last_y", "1", "output at the last sample"))
     count = system.sampled(State("samples", "1", "samples seen so far"))
     y = inputs[method.reads]
-    update = method.equations(Workshop(system, p), Sample(last_u, last_y, y, period))
+    update = method.equations(EquationContext(system, p), Sample(last_u, last_y, y, period))
     started = count > 0
     for state in method.states:
         held = update.first.get(state.name, system.symbols[state.name])

@@ -12,10 +12,10 @@ from bristle.model.basis import BASIS_COUNT, gaussian
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import rls
 from bristle.observer.method import (
+    EquationContext,
     Method,
     Sample,
     Update,
-    Workshop,
     stack,
     stack_symmetric,
     symmetric_states,
@@ -54,12 +54,12 @@ def _relaxed(p: Namespace, s: Sample) -> SX:
     return ca.vertcat(*new)
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Filter v' = -alpha2 v + b u - sum sigma_ij chi_ij on both sides, and fit.
 
     Source: ljung1999 section 11.2.
     """
-    p = shop.p
+    p = context.p
     chi, new = stack(p, "chi", CHI), _relaxed(p, s)
     raw = ca.vertcat((s.y1 - s.y0) / s.period, -(s.y0 + s.y1) / 2, s.u, -(chi + new) / 2)
     gain = 1 - ca.exp(-p.cutoff * s.period)

@@ -9,7 +9,7 @@ import casadi as ca
 
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 EQUATION = "ljung1999 section 11.2; dixit2008 eq. (23)"
@@ -92,8 +92,8 @@ def estimates(p: Namespace) -> dict[str, SX]:
     return {name: p[f"theta{i}"] for i, name in enumerate(NAMES)}
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
     return Update(fit(p, s), estimates(p), {"v": p.last_v})
 
 

@@ -23,7 +23,7 @@ from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, kalman, rls
 from bristle.observer.kalman import STATES
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 NAMES = units("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau")
@@ -163,8 +163,8 @@ def _judge(p: Namespace, h: SX, size: SX) -> tuple[dict[str, SX], SX, SX]:
     return averages, changed, lost
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p, h = shop.p, s.period
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p, h = context.p, s.period
     runs = p.runs > 0
     r = rls.regression(p, s)
     row = ca.vertcat(r.h, r.z)

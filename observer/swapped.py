@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from bristle.observer import swapping
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Let the filters run on the velocity, linear between samples, and on the held input.
 
     Source: dixit2008 eq. (20)-(22).
     """
     start, end = swapping.signals(s.u, s.y0), swapping.signals(s.u, s.y1)
     return Update(
-        next=swapping.step(shop, s, start, end),
-        estimates=swapping.estimates(shop.p),
-        valid=swapping.valid(shop.p),
+        next=swapping.step(context, s, start, end),
+        estimates=swapping.estimates(context.p),
+        valid=swapping.valid(context.p),
     )
 
 

@@ -6,10 +6,10 @@ import casadi as ca
 
 from bristle.model.variables import Parameter
 from bristle.observer import swapping
-from bristle.observer.method import Method, Sample, Update, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Smooth the mean velocity of a sample and the input in it by the same two sections, then filter as `swapped` does.
 
     The difference of two positions is the mean velocity of a sample, and the held input its own mean: both belong to the
@@ -17,7 +17,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     true; only (17), at the velocity that is smoothed, is not exactly what the smoothing of (17) would be.
     Source: dixit2008 eq. (20)-(22) and the remark on position measurement at the end of section III.
     """
-    p = shop.p
+    p = context.p
     now = ca.vertcat(s.u, (s.y1 - s.y0) / s.period)
     once, twice = stack(p, "once", 2), stack(p, "twice", 2)
     gain = 1 - ca.exp(-p.smoothing * s.period)
@@ -25,7 +25,7 @@ def _equations(shop: Workshop, s: Sample) -> Update:
     twice_new = twice + gain * (once_new - twice)
     start, end = (swapping.signals(pair[0], pair[1]) for pair in (twice, twice_new))
     return Update(
-        next=swapping.step(shop, s, start, end) | unstack("once", once_new) | unstack("twice", twice_new),
+        next=swapping.step(context, s, start, end) | unstack("once", once_new) | unstack("twice", twice_new),
         estimates=swapping.estimates(p),
         signals={"v": p.twice1},
         valid=swapping.valid(p),
@@ -40,8 +40,14 @@ METHOD = Method(
     (
         *swapping.parameters("swapped_position", 15.0),
         Parameter(
-            "swapped_position.smoothing", "a_s", "rad/s", 600.0, 1.0, 1e5,
-            "corner of each of the two sections that smooth velocity and input alike", "ljung1999 section 14.4"
+            "swapped_position.smoothing",
+            "a_s",
+            "rad/s",
+            600.0,
+            1.0,
+            1e5,
+            "corner of each of the two sections that smooth velocity and input alike",
+            "ljung1999 section 14.4",
         ),
     ),
     (

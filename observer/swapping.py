@@ -15,7 +15,7 @@ from bristle.model.basis import gaussian
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, zhang
-from bristle.observer.method import Sample, Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Sample, stack, unstack, vector_states
 
 SX = ca.SX
 EQUATION = "dixit2008 eq. (20)-(22)"
@@ -33,14 +33,14 @@ def signals(u: SX, v: SX) -> SX:
     return ca.horzcat(v, u, *(shape * v for shape in phi), ca.fabs(v) * u, ca.fabs(v) * v)
 
 
-def advance(shop: Workshop, s: Sample, start: SX, end: SX) -> tuple[SX, SX]:
+def advance(context: EquationContext, s: Sample, start: SX, end: SX) -> tuple[SX, SX]:
     """Advance L = 1/(s + a)^2 on all signals over a sample, and return (its states, [regressor, s^2 L v]).
 
     Every signal goes linearly from `start` to `end`, v like what is made of it: errors of second order, which largely cancel as
     long as all are held alike. A held u, which starts and ends a sample with the same value, is exact.
     """
-    p = shop.p
-    f = zhang.make_filter(shop, SX([2.0, 1.0]), p.cutoff, s.period)
+    p = context.p
+    f = zhang.make_filter(context, SX([2.0, 1.0]), p.cutoff, s.period)
     x = f.phi @ stack(p, "filtered", 2, SIGNALS) + f.m0[:, 1] @ start + f.m1[:, 1] @ end
     once, k1, k2 = x[1, :] - f.k[0] * x[0, :], f.k[0], f.k[1]  # x' = [x2 - k1 x1, f - k2 x1], so that s L is this
     v, _, phi1, phi2, vu, vv = ca.horzsplit(x[0, :])
@@ -71,14 +71,14 @@ def estimate(r: SX) -> tuple[SX, SX, SX, SX]:
     return ca.vertcat(theta[:5], c) + six.solve(inconsistent), six.inverse_diagonal(), eight.d[-1], least
 
 
-def step(shop: Workshop, s: Sample, start: SX, end: SX) -> dict[str, SX]:
+def step(context: EquationContext, s: Sample, start: SX, end: SX) -> dict[str, SX]:
     """Return the next states for signals that go from `start` to `end`.
 
     Errors of the rows of a filter with corner a are alike over 2/a, so that not every sample is a new observation: the
     variance of an estimate is that of as many fewer. Where no noise tells that the entries are not excited, their shares do.
     """
-    p = shop.p
-    x, row = advance(shop, s, start, end)
+    p = context.p
+    x, row = advance(context, s, start, end)
     counts = p.samples * s.period * p.cutoff > FORGOTTEN
     memory = ca.exp(-s.period / p.memory)
     before = information.read(p, ROW)
@@ -115,12 +115,24 @@ def parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
         Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 0.1, 1e3, "corner of the filter L, a double pole", EQUATION),
         Parameter(f"{prefix}.memory", "T", "s", 100.0, 0.1, 1e6, "time over which data is forgotten", "ljung1999 section 11.2"),
         Parameter(
-            f"{prefix}.excitation", "e", "1", 1e-9, 0.0, 1.0,
-            "share of each entry that the others must leave unexplained", "ljung1999 section 13.2"
+            f"{prefix}.excitation",
+            "e",
+            "1",
+            1e-9,
+            0.0,
+            1.0,
+            "share of each entry that the others must leave unexplained",
+            "ljung1999 section 13.2",
         ),
         Parameter(
-            f"{prefix}.precision", "r", "1", 0.1, 0.0, 1e3,
-            "standard error over estimate up to which an estimate is valid", "ljung1999 section 9.6"
+            f"{prefix}.precision",
+            "r",
+            "1",
+            0.1,
+            0.0,
+            1e3,
+            "standard error over estimate up to which an estimate is valid",
+            "ljung1999 section 9.6",
         ),
     )
 

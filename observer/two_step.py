@@ -6,7 +6,7 @@ import casadi as ca
 
 from bristle.model.variables import Parameter
 from bristle.observer import bastin_gevers, besancon, zhang
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 
@@ -16,9 +16,9 @@ def start_parameter(prefix: str, start: float = 100.0) -> Parameter:
     return Parameter(f"{prefix}.step2_start", "T2", "s", start, 0.0, 1e6, "when step 2 begins", "dixit2008 section IV-E")
 
 
-def begun(shop: Workshop, s: Sample) -> SX:
+def begun(context: EquationContext, s: Sample) -> SX:
     """Return 1 from the start of step 2 on."""
-    return SX(shop.p.samples * s.period >= shop.p.step2_start)
+    return SX(context.p.samples * s.period >= context.p.step2_start)
 
 
 def when(go: SX, update: dict[str, SX], rest: dict[str, SX]) -> dict[str, SX]:
@@ -26,24 +26,24 @@ def when(go: SX, update: dict[str, SX], rest: dict[str, SX]) -> dict[str, SX]:
     return {name: ca.if_else(go, value, rest[name]) for name, value in update.items()}
 
 
-def waiting(shop: Workshop, y: SX, order: int = 2) -> dict[str, SX]:
+def waiting(context: EquationContext, y: SX, order: int = 2) -> dict[str, SX]:
     """Return what step 2 holds while it waits: its states, with the first one following the measurement."""
-    x, ups, theta, mean = zhang.read(shop.p, order)
+    x, ups, theta, mean = zhang.read(context.p, order)
     return zhang.write(ca.vertcat(y, x[1:]), ups, theta, mean, SX(0))
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
-    p = shop.p
-    go = begun(shop, s)
+def _equations(context: EquationContext, s: Sample) -> Update:
+    p = context.p
+    go = begun(context, s)
     alpha2, b = p.step1_alpha2, p.step1_b
-    step2 = besancon.step(shop, s, besancon.filter_of(shop, s), alpha2, b)
+    step2 = besancon.step(context, s, besancon.filter_of(context, s), alpha2, b)
     estimates, signals = besancon.published(p, alpha2)
     return Update(
-        next=bastin_gevers.adapt(p, s, p.vc) | when(go, step2, waiting(shop, s.y1)),
+        next=bastin_gevers.adapt(p, s, p.vc) | when(go, step2, waiting(context, s.y1)),
         estimates={name: p[f"step1_{name}"] for name in bastin_gevers.NAMES} | estimates,
         signals=signals,
         first={"step1_v": s.y1, "x0": s.y1},
-        valid={name: begun(shop, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.NAMES},
     )
 
 

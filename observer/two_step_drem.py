@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from bristle.observer import drem, rls, smoothing, zhang
 from bristle.observer.drem_position import BANDWIDTH
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, when
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Run both steps; step 2 begins with empty filters.
 
     Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
     """
-    p = shop.p
+    p = context.p
     step1 = rls.estimates(p)
     velocity, filters = smoothing.smooth(p, s)
     step2 = drem.step(p, velocity, step1["alpha2"], step1["b"])
     estimates, signals = drem.published(p, p.smoother0, step1["alpha2"])
     return Update(
-        next=rls.fit(p, s) | filters | when(begun(shop, s), step2, {name: p[name] for name in step2}),
+        next=rls.fit(p, s) | filters | when(begun(context, s), step2, {name: p[name] for name in step2}),
         estimates=step1 | estimates,
         signals=signals,
-        valid={name: begun(shop, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.NAMES},
     )
 
 

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from bristle.observer import besancon_position, rls, zhang
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, waiting, when
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Run both steps; step 2 begins with the velocity that step 1 saw last.
 
     Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
     """
-    p = shop.p
-    go = begun(shop, s)
+    p = context.p
+    go = begun(context, s)
     step1 = rls.estimates(p)
-    step2 = besancon_position.step(shop, s, step1["alpha2"], step1["b"])
-    held = waiting(shop, s.y1, order=3) | {"x1": p.last_v}
+    step2 = besancon_position.step(context, s, step1["alpha2"], step1["b"])
+    held = waiting(context, s.y1, order=3) | {"x1": p.last_v}
     estimates, signals = besancon_position.published(p, step1["alpha2"])
     return Update(
         next=rls.fit(p, s) | when(go, step2, held),
         estimates=step1 | estimates,
         signals=signals,
         first={"x0": s.y1},
-        valid={name: begun(shop, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.NAMES},
     )
 
 

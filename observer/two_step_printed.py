@@ -5,30 +5,30 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.observer import bastin_gevers, besancon_scalar, zhang
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, waiting, when
 
 SX = ca.SX
 UNIT = besancon_scalar.UNIT  # v in deg/s, and u in as small a unit, so that both entries of the regressor count alike
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Run step 1 on (v, u) / UNIT, then step 2 in deg/s on its estimates.
 
     Source: dixit2008 eq. (3), (6), (23), (24) and section IV-E.
     """
-    p = shop.p
-    go = begun(shop, s)
+    p = context.p
+    go = begun(context, s)
     scaled = Sample(s.u / UNIT, s.y0 / UNIT, s.y1 / UNIT, s.period)
     alpha2, b = p.step1_alpha2, p.step1_b
-    step2 = besancon_scalar.step(shop, s, alpha2, b)
-    estimates, signals = besancon_scalar.published(shop, alpha2)
+    step2 = besancon_scalar.step(context, s, alpha2, b)
+    estimates, signals = besancon_scalar.published(context, alpha2)
     return Update(
-        next=bastin_gevers.adapt(p, scaled, p.vc / UNIT) | when(go, step2, waiting(shop, s.y1 / UNIT)),
+        next=bastin_gevers.adapt(p, scaled, p.vc / UNIT) | when(go, step2, waiting(context, s.y1 / UNIT)),
         estimates={"alpha2": alpha2, "b": b, "Fc": p.step1_Fc * UNIT} | estimates,
         signals=signals,
         first={"step1_v": s.y1 / UNIT, "x0": s.y1 / UNIT},
-        valid={name: begun(shop, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.NAMES},
     )
 
 

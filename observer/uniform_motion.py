@@ -8,20 +8,20 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter, State
-from bristle.observer.method import Method, Sample, Update, Workshop
+from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 EQUATION = "dixit2008 section IV-B"
 
 
-def _equations(shop: Workshop, s: Sample) -> Update:
+def _equations(context: EquationContext, s: Sample) -> Update:
     """Judge a step when the input leaves it: long enough, moving, and the spread of the velocity small against its mean.
 
     Mean and mean square of the velocity are first-order averages, so that they belong to the end of the step; they end with the
     velocity at which the input was left.
     Source: dixit2008 section IV-B.
     """
-    p = shop.p
+    p = context.p
     weight = 1 - ca.exp(-s.period / p.window)
     left = s.u != p.held_input
     spread = ca.sqrt(ca.fmax(p.square - p.mean**2, 0))

@@ -17,7 +17,7 @@ from bristle.model.basis import gaussian
 from bristle.model.linear import expm
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer.method import Workshop, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, stack, unstack, vector_states
 
 SX = ca.SX
 EQUATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
@@ -34,7 +34,7 @@ class Filter:
     k: SX
 
 
-def make_filter(shop: Workshop, k0: SX, lam: SX, period: SX) -> Filter:
+def make_filter(context: EquationContext, k0: SX, lam: SX, period: SX) -> Filter:
     """Compute the exact filter once, at initialisation, from K0 and lam.
 
     The exponential is taken in the scaled coordinates of (6), where the matrix is smallest, with a first-order hold:
@@ -58,10 +58,10 @@ def make_filter(shop: Workshop, k0: SX, lam: SX, period: SX) -> Filter:
     phi, held, ramp = (back @ exponential[:n, i * n : (i + 1) * n] @ into for i in range(3))
     # f = f0 + (f1 - f0) t/Ts
     return Filter(
-        shop.constant("phi", phi),
-        shop.constant("m0", held - ramp),
-        shop.constant("m1", ramp),
-        shop.constant("k", lam * scale * k0),
+        context.constant("phi", phi),
+        context.constant("m0", held - ramp),
+        context.constant("m1", ramp),
+        context.constant("k", lam * scale * k0),
     )
 
 
@@ -194,4 +194,3 @@ def matrix_gain(p: Namespace) -> SX:
 def averaging_weight(p: Namespace, period: SX) -> SX:
     """Return the weight of a new value in the published average; no averaging if the time constant is 0."""
     return period / ca.fmax(p.averaging, period)
-

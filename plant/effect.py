@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.model.system import System
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw

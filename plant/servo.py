@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.model.normalised import NORMALISED
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System

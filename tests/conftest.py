@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 
 _status = pytest.StashKey[int]()
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import write_json
 from forms import EFFECTS, LOCAL, OUTSIDE, PARAMETERS, Fields, Generator, Setting, Shape, can_join, class_of, other_friction
 from gap import EVERY, Gap, measure
 from scene import LIMIT, Scene, draw_scene, log_uniform, with_friction
+from shared import write_json
 from truth import RESOLUTION, Array, Record
 
 CONTROLS = ("wrong_inertia", "noise_only", "quiet", "other_friction")

@@ -135,9 +135,7 @@ def quadratic_drag(rng: Generator, s: Setting) -> Shape:
     """Square of the speed; other form: another power, away from viscous friction."""
     exponent = (rng.uniform(1.65, 1.85) if rng.random() < 0.5 else rng.uniform(2.2, 2.7)) if s.other else 0.0
     top = 5.0 ** (2 - exponent) if exponent else 1.0
-    return Shape(
-        lambda m: {"quadratic_drag_coefficient": m * top, "quadratic_drag_exponent": exponent}, 2e-5, 3e-4, 2e-2
-    )
+    return Shape(lambda m: {"quadratic_drag_coefficient": m * top, "quadratic_drag_exponent": exponent}, 2e-5, 3e-4, 2e-2)
 
 
 def stribeck(rng: Generator, s: Setting) -> Shape:

@@ -206,9 +206,7 @@ def floor_errors(pieces: Pieces, truth: dict[str, float]) -> Array:
     return _mean_squares(rescue(pieces, truth, nuisance, error))
 
 
-def measure(
-    records: list[Record], truth: dict[str, float], start: Array | None = None, every: int = EVERY
-) -> tuple[Gap, Array]:
+def measure(records: list[Record], truth: dict[str, float], start: Array | None = None, every: int = EVERY) -> tuple[Gap, Array]:
     """Return the gap, and the refitted base parameters, from which the fit of a similar case may start."""
     pieces = Pieces(records, every)
     base, x = fit_base(pieces, truth, start)

@@ -110,8 +110,7 @@ def main() -> None:
     out = parser.parse_args().out
     pairs = answered(out)
     where = [
-        f"| {label(*key)} | {count['']} | {' | '.join(str(count[s]) for s in STANDS)} |"
-        for key, count in standings(pairs).items()
+        f"| {label(*key)} | {count['']} | {' | '.join(str(count[s]) for s in STANDS)} |" for key, count in standings(pairs).items()
     ]
     missing, figures = (np.array(column) for column in zip(*refused(pairs), strict=True))
     rows = [f"| {right} | {wrong} |" for right, wrong in prices(missing, figures).items()]

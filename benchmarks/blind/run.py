@@ -27,9 +27,9 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 from cases import SELECTIONS, Spec, draw, plan, seal, write
-from common import write_json
 from page import put
 from score import tables
+from shared import write_json
 from truth import library
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import upper_bound
 from forms import can_be_taken, class_of
+from shared import upper_bound
 
 Json = dict[str, Any]
 SLACK = 1e-9

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.model.cache import cached, digest
+from bristle.common.cache import cached, digest
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 
 Array = NDArray[np.float64]

@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import measured_data as measured
 import numpy as np
-import records as measured
-from records import Array, Entry
+from measured_data import Array, Entry
 from scipy.optimize import least_squares
 
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
-from bristle.diagnosis.bench import settle
-from bristle.diagnosis.plausibility import check
-from bristle.diagnosis.prepare import base_of, bench_of
-from bristle.diagnosis.segments import smooth
+from bristle.diagnosis.checks.plausibility import check
+from bristle.diagnosis.estimation.dataset import fit_with_noise
+from bristle.diagnosis.estimation.segments import smooth
+from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -156,8 +156,8 @@ def go1(tell: Callable[[str], None]) -> Iterator[Run]:
     model = declared("torque", {"J": 0.002, "a2": 0.02, "Fc": 0.02})
     tell("go1 without a load")
     records = taken(model, measured.go1(0.0))
-    bench = bench_of(model, records)
-    unloaded = settle(bench, *base_of(model, bench)).fit.values
+    dataset = dataset_of(model, records)
+    unloaded = fit_with_noise(dataset, *base_servo_of(model, dataset)).fit.values
     own = {name: float(unloaded[name]) for name in ("J", "a2", "coulomb.Fc")}
     for mass in (1.0, 2.0, 3.0):
         entries = measured.go1(mass)

@@ -11,9 +11,9 @@ import numpy as np
 from cases import Run, torque_along
 from matplotlib import rc_context
 
-from bristle.diagnosis.figures import telling
-from bristle.diagnosis.segments import SEGMENT
-from bristle.model.drawing import BLUE, DEGREES, GREY, INK, ORANGE, PALE, STYLE, new_figure, set_title, thin
+from bristle.common.drawing import BLUE, DEGREES, GREY, INK, ORANGE, PALE, STYLE, new_figure, set_title, thin
+from bristle.diagnosis.estimation.segments import SEGMENT_SECONDS
+from bristle.diagnosis.report.figures import telling
 
 DPI = 130
 NAMED, OTHER = BLUE, PALE
@@ -61,7 +61,7 @@ def _errors(ax: Any, run: Run) -> None:
     assert found is not None
     trace, part = found
     time = trace.time[part]
-    first = np.arange(len(trace.time)) % round(SEGMENT / float(np.median(np.diff(trace.time)))) == 0
+    first = np.arange(len(trace.time)) % round(SEGMENT_SECONDS / float(np.median(np.diff(trace.time)))) == 0
     added = f"with {', '.join(e.name for e in run.found.effects) or 'nothing'}"
     for simulated, colour, label in ((trace.before, ORANGE, "refitted model"), (trace.after, BLUE, added)):
         error = np.where(first, np.nan, simulated - trace.measured)  # no line from one segment to the next

@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import draw
 from cases import FOLDERS, Run
+from measured_data import ROOT as DATA
 from page import put
-from records import ROOT as DATA
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "benchmarks" / "results" / "measured.md"

@@ -11,11 +11,11 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from records import STEP
 from scipy.optimize import least_squares
+from standard_records import STEP
 
+from bristle.common.errors import SimulationError
 from bristle.harness.metrics import mse_percent
-from bristle.model.errors import SimulationError
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.plant.servo import servo_program

@@ -6,15 +6,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import bodies
 import numpy as np
+import presliding_benchmark
 from fits import bound, fit, neutral, simulated
 from numpy.typing import NDArray
-from records import CHANGE, STEP, TRUE, changed, record
+from standard_records import CHANGE, STEP, TRUE, changed, record
 
+from bristle.common.errors import SimulationError
 from bristle.harness.fit import Data, regression
 from bristle.harness.metrics import BAND, LOADED, error_percent, mse_percent, settling
-from bristle.model.errors import SimulationError
 from bristle.model.native import Native
 from bristle.model.variables import Parameter
 from bristle.observer import methods, observer_program
@@ -199,14 +199,20 @@ def two_bodies(plant: str, order: int, seed: int) -> Json:
 
     Methods get the benchmark's start values for what they have a start of, and the true ones of what they take as known.
     """
-    data, out = bodies.record(seed), dict[str, Json]()
+    data, out = presliding_benchmark.record(seed), dict[str, Json]()
     for sensor in SENSORS:
         out[sensor] = {}
         for method in estimators():
             declared = methods()[method].parameters
-            begin = {p.name: bodies.START[name] for p in declared if (name := started(method, p.name)) in bodies.START}
-            rows, valid, failure = observed(method, data, sensor, begin | told(method, bodies.TRUE), bodies.STEP)
-            names, error = errors(method, rows, valid, bodies.TRUE)
+            begin = {
+                p.name: presliding_benchmark.START[name]
+                for p in declared
+                if (name := started(method, p.name)) in presliding_benchmark.START
+            }
+            rows, valid, failure = observed(
+                method, data, sensor, begin | told(method, presliding_benchmark.TRUE), presliding_benchmark.STEP
+            )
+            names, error = errors(method, rows, valid, presliding_benchmark.TRUE)
             out[sensor][method] = {"errors": dict(zip(names, error[-1].tolist(), strict=True)), "failure": failure}
     return out
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from common import upper_bound
 from jobs import BEST, BOUNDS, CHECKS, PLACES, estimated, estimators
-from records import STEP, record
+from shared import upper_bound
+from standard_records import STEP, record
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
@@ -154,7 +154,7 @@ def starts(results: Results) -> str:
 
 
 def bodies(results: Results) -> str:
-    """Return the table of the largest errors on the two rubbing bodies."""
+    """Return the table of the largest errors on the two rubbing presliding_benchmark."""
     rows = []
     for method in estimators():
         cells = [method]
@@ -227,6 +227,7 @@ def efficiency(results: Results, plant: str, second: str) -> list[float]:
 
 def figure_times(results: Results, out: Path) -> None:
     """Draw the times to 5 %, a dot a record."""
+
     def settles(method: str) -> bool:
         return any(e["settling_s"] is not None for plant in WITH_TRUTH for e in results.methods("encoder", plant, method))
 
@@ -254,6 +255,7 @@ def figure_times(results: Results, out: Path) -> None:
 
 def figure_floor(results: Results, out: Path) -> None:
     """Draw the validation error over the floor on the plants that no observer's model contains."""
+
     def of(plant: str, method: str) -> list[float]:
         return [x for x in ratios(results.of("record", plant), "encoder", method, EARLY, "modified") if math.isfinite(x)]
 

@@ -1,8 +1,8 @@
 """The comparative study: every observer on every plant; tables and figures in docs/study (see scripts/study).
 
-    python benchmarks/study/run.py                    # all of it; goes on where it was stopped
-    python benchmarks/study/run.py --seeds 2          # a part
-    python benchmarks/study/run.py --pages            # only the pages, from the results there are
+python benchmarks/study/run.py                    # all of it; goes on where it was stopped
+python benchmarks/study/run.py --seeds 2          # a part
+python benchmarks/study/run.py --pages            # only the pages, from the results there are
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import jobs
-from common import write_json
 from pages import publish
-from records import TRUE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from shared import write_json
+from standard_records import TRUE
 
 from bristle.model.sources import fingerprint
 from bristle.observer import observer_program

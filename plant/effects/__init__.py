@@ -6,7 +6,7 @@ import importlib
 import pkgutil
 from functools import cache
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.plant.effect import Effect
 
 

@@ -30,9 +30,7 @@ EFFECT = Effect(
     residual=("v",),
     excitation="none helps beside a free viscous term: it takes a measured current",
     confounded=("quadratic_drag",),
-    parameters=(
-        Parameter("back_emf.constant", "K", "V.s/rad", 0.05, 0.0, 1e6, "voltage over speed", "spong2006 chapter 6"),
-    ),
+    parameters=(Parameter("back_emf.constant", "K", "V.s/rad", 0.05, 0.0, 1e6, "voltage over speed", "spong2006 chapter 6"),),
     rank=1,
     drive=drive,
     starts=starts,

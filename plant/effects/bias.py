@@ -31,9 +31,7 @@ EFFECT = Effect(
     residual=("all",),
     excitation="any motion; only another level of friction tells it from asymmetric_coulomb",
     confounded=("asymmetric_coulomb", "gravity", "disturbance_step"),
-    parameters=(
-        Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant torque, positive forward", "janot2019"),
-    ),
+    parameters=(Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant torque, positive forward", "janot2019"),),
     torque=torque,
     starts=starts,
 )

@@ -31,9 +31,7 @@ EFFECT = Effect(
     residual=("u",),
     excitation="both signs of the input at varied load",
     confounded=("bias", "gravity", "asymmetric_coulomb"),
-    parameters=(
-        Parameter("gain_asymmetry.share", "g", "1", 0.1, -1.0, 1.0, "excess gain for u > 0, lack for u < 0", "tao1996"),
-    ),
+    parameters=(Parameter("gain_asymmetry.share", "g", "1", 0.1, -1.0, 1.0, "excess gain for u > 0, lack for u < 0", "tao1996"),),
     drive=drive,
     starts=starts,
 )

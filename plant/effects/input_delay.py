@@ -39,9 +39,7 @@ EFFECT = Effect(
     residual=("du",),
     excitation="a bandwidth of the input above 1/(2 pi T)",
     confounded=("electrical_pole",),
-    parameters=(
-        Parameter("input_delay.delay", "T", "s", 0.0035, 0.0, 10.0, "dead time of the input", "laakso1996"),
-    ),
+    parameters=(Parameter("input_delay.delay", "T", "s", 0.0035, 0.0, 10.0, "dead time of the input", "laakso1996"),),
     sampled=tuple(State(f"u{i}", "V", f"input of {i} samples before") for i in range(LENGTH + 1)),
     updates=updates,
     command=command,

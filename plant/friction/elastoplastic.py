@@ -42,9 +42,7 @@ LAW = FrictionLaw(
     parameters=(
         Parameter("elastoplastic.sigma0", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "bristle stiffness", _SOURCE),
         Parameter("elastoplastic.sigma1", "sigma1", "N.m.s/rad", 0.02, 0.0, 1e6, "bristle damping", _SOURCE),
-        Parameter(
-            "elastoplastic.share", "z_ba/z_ss", "1", 0.7, 0.0, 0.999, "break-away over least steady deflection", _SOURCE
-        ),
+        Parameter("elastoplastic.share", "z_ba/z_ss", "1", 0.7, 0.0, 0.999, "break-away over least steady deflection", _SOURCE),
         *stribeck_parameters("elastoplastic", _SOURCE),
     ),
     states=(State("z", "rad", "bristle deflection", scale=lambda p: p.Fc / p.sigma0),),

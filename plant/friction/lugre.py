@@ -39,7 +39,5 @@ LAW = FrictionLaw(
         Parameter("lugre.Fs", "sigma0 (a0 + a1)", "N.m", 0.0072, 1e-9, 1e6, "static friction", "dixit2008 eq. (10)"),
         Parameter("lugre.vs", "v0", "rad/s", 0.4363323129985824, 1e-6, 1e3, "Stribeck velocity", "dixit2008 eq. (10)"),
     ),
-    states=(
-        State("z", "rad", "bristle deflection", scale=lambda p: p.Fc / p.sigma0),
-    ),
+    states=(State("z", "rad", "bristle deflection", scale=lambda p: p.Fc / p.sigma0),),
 )

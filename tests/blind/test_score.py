@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 from cases import seal
-from common import upper_bound
 from forms import class_of
 from run import check_seal
 from score import Judged, figures, normalise, parameter_error, parameter_rows, tables
+from shared import upper_bound
 
 Json = dict[str, Any]
 Pair = tuple[Json, Json]

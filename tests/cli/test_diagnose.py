@@ -14,8 +14,8 @@ import pytest
 
 from bristle import diagnosis
 from bristle.cli import main as cli
-from bristle.diagnosis import export
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
+from bristle.diagnosis.report import export
 
 ROOT = Path(__file__).resolve().parents[1]
 Call = Callable[..., tuple[int, str, str]]
@@ -89,7 +89,7 @@ def test_it_says_what_it_found_and_where_the_report_is(call: Call, asked: dict[s
     for line in (made.experiment, *made.findings):
         assert f"  - {line}" in lines
     assert lines[-1] == f"named  {tmp_path / 'out' / 'report.html'}"
-    assert sorted(os.listdir(tmp_path / "out")) == sorted(export.OURS)
+    assert sorted(os.listdir(tmp_path / "out")) == sorted(export.WRITTEN_FILES)
 
 
 @pytest.mark.parametrize("case", ["tie", "none", "not_identifiable", "proposals"])

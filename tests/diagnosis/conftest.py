@@ -16,9 +16,9 @@ import pytest
 from scipy.signal import lfilter
 
 from bristle.diagnosis import Model, Record, records_from_arrays
-from bristle.diagnosis.bench import Bench, Stage, settle
-from bristle.diagnosis.prepare import base_of, bench_of
-from bristle.diagnosis.result import Diagnosis
+from bristle.diagnosis.estimation.dataset import Dataset, FittedModel, fit_with_noise
+from bristle.diagnosis.preparation import base_servo_of, dataset_of
+from bristle.diagnosis.report.result import Diagnosis
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.plant.effects import effect, effects
@@ -97,8 +97,8 @@ class Case:
 
     model: Model
     records: list[Record]
-    bench: Bench
-    base: Stage
+    dataset: Dataset
+    base: FittedModel
 
 
 @pytest.fixture(scope="session")
@@ -113,8 +113,8 @@ def case(measured: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
             runs = {seed: measured(name, seed, **given) if name else measured(seed=seed, plain=1) for seed in (1, 2)}
             n = round(SECONDS / H)
             records = records_from_arrays(model, [(f"run {k}", t[:n], u[:n], y[:n]) for k, (t, u, y, _) in runs.items()])
-            bench = bench_of(model, records)
-            made[key] = Case(model, records, bench, settle(bench, *base_of(model, bench)))
+            dataset = dataset_of(model, records)
+            made[key] = Case(model, records, dataset, fit_with_noise(dataset, *base_servo_of(model, dataset)))
         return made[key]
 
     return of

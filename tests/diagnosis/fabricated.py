@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.result import Candidate, Diagnosis, Estimate, Gap, Named, Remains, Round, Trace, View
+from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Gap, Named, Remains, Round, Trace, View
 
 Array = NDArray[np.float64]
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
-from bristle.diagnosis.bench import settle
-from bristle.diagnosis.numerics import numerical, steady
-from bristle.diagnosis.prepare import base_of, bench_of, limits
+from bristle.diagnosis.estimation.dataset import fit_with_noise
+from bristle.diagnosis.preparation import base_servo_of, dataset_of, limits
+from bristle.diagnosis.selection.discretisation import numerical, steady
+from bristle.diagnosis.selection.start_values import joint_starts
 
 
 @pytest.fixture(scope="module")
@@ -19,8 +21,9 @@ def joint(measured: Callable[..., Any]) -> Callable[[dict[str, Any], str], Any]:
     def make(tree: dict[str, Any], name: str) -> Any:
         model = Model.from_dict(tree)
         records = records_from_arrays(model, [("run", *measured(name, 1)[:3])])
-        bench = bench_of(model, records)
-        return bench.joint(settle(bench, *base_of(model, bench)))
+        dataset = dataset_of(model, records)
+        balanced = dataset.balanced(fit_with_noise(dataset, *base_servo_of(model, dataset)))
+        return partial(joint_starts, dataset, balanced)
 
     return make
 
@@ -31,7 +34,7 @@ HIDDEN = [("gravity", "amplitude", 0.3), ("cogging", "amplitude", 0.08), ("bias"
 @pytest.mark.parametrize(("name", "parameter", "true"), HIDDEN)
 def test_it_starts_near_the_truth(name: str, parameter: str, true: float, joint: Callable[..., Any], tree: dict[str, Any]) -> None:
     tree["parameters"] = {"J": 0.02, "a2": 0.01, "Fc": 0.3}
-    [(values, start)] = joint(tree, name).starts(name)
+    [(values, start)] = joint(tree, name)(name)
     assert abs(start[parameter]) == pytest.approx(true, rel=0.15)
     assert values["J"] == pytest.approx(0.01, rel=0.1)
     assert values["coulomb.Fc"] == pytest.approx(0.12, rel=0.15)
@@ -40,26 +43,26 @@ def test_it_starts_near_the_truth(name: str, parameter: str, true: float, joint:
 def test_it_says_nothing_where_hidden_states_matter(joint: Callable[..., Any], tree: dict[str, Any]) -> None:
     found = joint(tree, "bias")
     for name in ("compliance", "input_delay", "presliding", "eccentric_encoder"):
-        assert found.starts(name) == []
+        assert found(name) == []
 
 
 def test_limits_follow_the_axis_and_the_records(tree: dict[str, Any], measured: Callable[..., Any]) -> None:
     model = Model.from_dict(tree)
-    bench = bench_of(model, records_from_arrays(model, [("run", *measured("bias", 1)[:3])]))
-    rotary = limits(bench)
+    dataset = dataset_of(model, records_from_arrays(model, [("run", *measured("bias", 1)[:3])]))
+    rotary = limits(dataset)
     assert rotary["cogging.periods"][0] == pytest.approx(2.0)
     assert "position_friction.periods" not in rotary
-    strength = np.abs(bench.motion.u)
+    strength = np.abs(dataset.motion.u)
     assert np.mean(strength > rotary["saturation.limit"][0]) == pytest.approx(0.8, abs=0.01)
     assert np.mean(strength < rotary["dead_zone.width"][1]) == pytest.approx(0.8, abs=0.01)
     assert 0.0 < rotary["disturbance_step.onset"][0] < rotary["disturbance_step.onset"][1] < 12.0
     tree["input"] = {"column": "u", "kind": "force", "unit": "N"}
     tree["output"] = {"column": "theta", "kind": "position", "unit": "m"}
     model = Model.from_dict(tree)
-    bench = bench_of(model, records_from_arrays(model, [("run", *measured("bias", 1)[:3])]))
-    span = float(np.ptp(bench.motion.theta))
-    assert limits(bench)["cogging.periods"][0] == pytest.approx(4 * np.pi / span)
-    assert limits(bench)["position_friction.periods"][0] == pytest.approx(4 * np.pi / span)
+    dataset = dataset_of(model, records_from_arrays(model, [("run", *measured("bias", 1)[:3])]))
+    span = float(np.ptp(dataset.motion.theta))
+    assert limits(dataset)["cogging.periods"][0] == pytest.approx(4 * np.pi / span)
+    assert limits(dataset)["position_friction.periods"][0] == pytest.approx(4 * np.pi / span)
 
 
 def test_a_gain_may_change_a_little_with_the_step() -> None:

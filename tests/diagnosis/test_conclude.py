@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.candidates import Candidate
-from bristle.diagnosis.conclude import choices_of, known_floor, mute_parameters, unnamed
-from bristle.diagnosis.judge import Verdict
-from bristle.diagnosis.null import Null
-from bristle.diagnosis.result import Estimate, Gap, Remains
-from bristle.diagnosis.story import undetected
+from bristle.diagnosis.conclusion import choices_of, known_floor, unidentified_parameters, unnamed
+from bristle.diagnosis.report.result import Estimate, Gap, Remains
+from bristle.diagnosis.report.text import undetected
+from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.criterion import SearchRound
+from bristle.diagnosis.selection.null_distribution import Null
 
 UNIFORM = "one oscillation"
 QUIET, LEFT = Remains(False, None, 0.0), Remains(True, "theta", 0.5)
 
 
-def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False) -> Verdict:
+def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False) -> SearchRound:
     candidate = Candidate(best, None) if best else None
-    return Verdict((), Null(np.zeros(1), {}), 0.0, candidate, 20.0, 1.1, ties, "", withdrawn=withdrawn)
+    return SearchRound((), Null(np.zeros(1), {}), 0.0, candidate, 20.0, 1.1, ties, "", withdrawn=withdrawn)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: boo
         (round_of("bias", withdrawn=True), UNIFORM, LEFT, "not_identifiable"),
     ],
 )
-def test_verdict_without_a_name(last: Verdict, narrow: str, left: Remains, verdict: str) -> None:
+def test_verdict_without_a_name(last: SearchRound, narrow: str, left: Remains, verdict: str) -> None:
     assert unnamed(last, narrow, left) == verdict
 
 
@@ -57,12 +57,12 @@ def test_verdict_without_a_name(last: Verdict, narrow: str, left: Remains, verdi
 )
 def test_records_that_tell_no_parameter(intervals: dict[str, tuple[float, float] | None], mute: tuple[str, ...]) -> None:
     middle = {name: sum(ends) / 2 if ends else 0.1 for name, ends in intervals.items()}
-    assert mute_parameters({name: Estimate(middle[name], "1", ends) for name, ends in intervals.items()}) == mute
+    assert unidentified_parameters({name: Estimate(middle[name], "1", ends) for name, ends in intervals.items()}) == mute
 
 
 def test_what_ends_at_a_bound_is_not_told() -> None:
     plain = {"J": Estimate(0.05, "kg.m2", (-0.02, 0.12)), "Fc": Estimate(0.5, "N.m", (0.49, 0.51), at_bound=True)}
-    assert mute_parameters(plain) == ("J", "Fc")
+    assert unidentified_parameters(plain) == ("J", "Fc")
 
 
 def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() -> None:
@@ -71,7 +71,7 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
     second = replace(round_of("gravity"), candidates=tried, named=True)
     last = replace(round_of(), candidates=tried)
 
-    def names(rounds: list[Verdict], undecided: tuple[str, ...], named: tuple[str, ...]) -> list[str]:
+    def names(rounds: list[SearchRound], undecided: tuple[str, ...], named: tuple[str, ...]) -> list[str]:
         return [c.name for c in choices_of(rounds, undecided, named)]
 
     assert names([last], ("bias", "gravity"), ()) == ["bias", "gravity"]
@@ -83,16 +83,16 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
 
 def test_what_was_found_or_ties_is_not_told_as_undetected(case) -> None:
     """And what gained before another was added shows no more beside that."""
-    stage = case(None).base
-    tried = [Candidate(name, stage.fit) for name in ("bias", "gravity", "cogging")]
+    fitted = case(None).base
+    tried = [Candidate(name, fitted.fit) for name in ("bias", "gravity", "cogging")]
     null, model = Null(np.zeros(1), {}), case(None).model
-    told = undetected(tried, null, stage.fit.total - 50, ("bias",), model)
+    told = undetected(tried, null, fitted.fit.total - 50, ("bias",), model)
     assert list(told) == ["gravity", "cogging"]
     assert "something like it shows (gain 50 nats)" in told["gravity"]
-    assert undetected(tried, null, stage.fit.total - 50, ("bias", "gravity"), model, "bias") == {
+    assert undetected(tried, null, fitted.fit.total - 50, ("bias", "gravity"), model, "bias") == {
         "cogging": "before bias was added it gained 50 nats; beside that nothing shows it"
     }
-    adrift = undetected([*tried, Candidate("stribeck", stage.fit)], null, stage.fit.total - 50, (), model, adrift=True)
+    adrift = undetected([*tried, Candidate("stribeck", fitted.fit)], null, fitted.fit.total - 50, (), model, adrift=True)
     assert ["begin at the same position" in adrift[name] for name in ("gravity", "cogging", "bias", "stribeck")] == [1, 1, 0, 0]
 
 

@@ -12,11 +12,11 @@ from fmpy import read_model_description
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
-from bristle.diagnosis.correction import correction_program, refusal
+from bristle.common.errors import BristleError
+from bristle.diagnosis.report.correction import correction_program, refusal
 from bristle.fmus import obtain
 from bristle.fmus.build import program_files
 from bristle.fmus.pack import write_archive
-from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.plant.effects import effects
 from bristle.plant.servo import servo_program
@@ -50,9 +50,7 @@ class Part:
         self.refs = {v.name: v.valueReference for v in description.modelVariables}
         model = description.coSimulation.modelIdentifier
         home = os.getcwd()
-        self.fmu = FMU2Slave(
-            guid=description.guid, unzipDirectory=str(folder), modelIdentifier=model, instanceName=model
-        )
+        self.fmu = FMU2Slave(guid=description.guid, unzipDirectory=str(folder), modelIdentifier=model, instanceName=model)
         self.fmu.instantiate()
         self.fmu.setupExperiment(startTime=0.0)
         self.fmu.enterInitializationMode()

@@ -16,8 +16,8 @@ import pytest
 
 from bristle.cli import main as cli
 from bristle.diagnosis import Model, diagnose, load_model, records_from_arrays
-from bristle.diagnosis.result import Diagnosis
-from bristle.diagnosis.views import STRETCHES
+from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
+from bristle.diagnosis.report.result import Diagnosis
 from bristle.model.native import Native
 from bristle.plant.effects import effects
 from bristle.plant.servo import servo_program
@@ -82,7 +82,7 @@ def test_the_gap_shrinks_on_segments_that_were_kept_from_the_search(cogging):
 
 
 def test_it_says_where_the_gap_lived(cogging):
-    strongest = next(view for view in cogging.where if view.view != STRETCHES)  # which are off depends on where it went
+    strongest = next(view for view in cogging.where if view.view != OUTLIERS)  # which are off depends on where it went
     assert strongest.view == "theta"
     assert strongest.label == "7 in a turn"
     assert strongest.p <= 0.01

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
-from bristle.diagnosis.excitation import excitation
+from bristle.diagnosis.checks.excitation import excitation
 
 H = 1e-3
 

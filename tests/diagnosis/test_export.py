@@ -13,10 +13,11 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
-from bristle.diagnosis import export, load_model
-from bristle.diagnosis.result import Estimate, Gap, Named
+from bristle.common.errors import BristleError
+from bristle.diagnosis import load_model
+from bristle.diagnosis.report import export
+from bristle.diagnosis.report.result import Estimate, Gap, Named
 from bristle.fmus.build import program_of
-from bristle.model.errors import BristleError
 from bristle.model.native import Native
 
 H = 1e-3
@@ -35,12 +36,12 @@ def written(fabricated, tmp_path_factory):
     """The folder of a named effect."""
     folder = tmp_path_factory.mktemp("named") / "out"
     files = export.write(fabricated.named(), folder)
-    assert [file.name for file in files] == list(export.OURS)
+    assert [file.name for file in files] == list(export.WRITTEN_FILES)
     return folder
 
 
 def test_nothing_else_is_left_behind(written):
-    assert names(written) == sorted(export.OURS)
+    assert names(written) == sorted(export.WRITTEN_FILES)
     assert json.loads((written / "diagnosis.json").read_text())["verdict"] == "named"
     assert "augmented.fmu" in (written / "report.html").read_text()
 
@@ -75,7 +76,7 @@ def test_the_augmented_fmu_moves_by_itself_as_the_identified_plant_does(written)
 
 
 def test_a_tie_writes_no_model_and_takes_old_ones_away(answer, tmp_path):
-    for name in (*export.OURS, "thesis.txt"):
+    for name in (*export.WRITTEN_FILES, "thesis.txt"):
         (tmp_path / name).write_text("old")
     assert [file.name for file in export.write(answer("tie"), tmp_path)] == ["diagnosis.json", "report.html"]
     assert names(tmp_path) == ["diagnosis.json", "report.html", "thesis.txt"]
@@ -158,7 +159,7 @@ def test_a_linear_axis_is_driven_by_its_force(answer, fabricated, tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     """Make the content of the files cheap."""
-    package = export._Package(content={name: b"new" for name in export.OURS if name != "augmented.toml"})
+    package = export._Package(content={name: b"new" for name in export.WRITTEN_FILES if name != "augmented.toml"})
     monkeypatch.setattr(export, "_package", lambda *arguments: package)
 
 
@@ -241,10 +242,10 @@ def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(answer, fa
 
 
 def test_what_was_read_is_not_written_over(tmp_path):
-    for name in export.OURS:
+    for name in export.WRITTEN_FILES:
         with pytest.raises(BristleError, match="would be replaced"):
             export.check_places(tmp_path, [tmp_path / "model.toml", tmp_path / "." / name])
-    export.check_places(tmp_path, [tmp_path / "model.toml", tmp_path / "below" / export.OURS[0]])
+    export.check_places(tmp_path, [tmp_path / "model.toml", tmp_path / "below" / export.WRITTEN_FILES[0]])
 
 
 def test_a_folder_in_the_way_stays(answer, tmp_path):

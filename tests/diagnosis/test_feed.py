@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import diagnose, records_from_arrays
-from bristle.diagnosis.bench import settle_well
-from bristle.diagnosis.feed import SLOW, NotHeldError, fed, must_be_held
-from bristle.diagnosis.prepare import base_of, bench_of
+from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING, NotHeldError, fed, must_be_held
+from bristle.diagnosis.estimation.dataset import fit_from_several_starts
+from bristle.diagnosis.preparation import base_servo_of, dataset_of
 
 EVERY = 8  # sample of a drive that works at 1 kHz is logged
 
@@ -31,8 +31,8 @@ def logged(measured, model):
 
 
 def begun(model, records):
-    bench = bench_of(model, records)
-    return bench, settle_well(bench, *base_of(model, bench))
+    dataset = dataset_of(model, records)
+    return dataset, fit_from_several_starts(dataset, *base_servo_of(model, dataset))
 
 
 def test_an_input_that_changes_between_the_samples_is_found_out(model, logged):
@@ -52,10 +52,10 @@ def test_an_input_that_was_held_stays(model, logged, name):
 
 
 def test_what_is_logged_as_fast_as_the_drive_works_is_not_asked(model, logged):
-    bench, base = begun(model, logged(every=1))
-    assert bench.segments.h < SLOW
-    assert not bench.doubtful
-    must_be_held(replace(bench, doubtful=True), base)  # and would stay
+    dataset, base = begun(model, logged(every=1))
+    assert dataset.segments.h < SLOW_SAMPLING
+    assert not dataset.doubtful
+    must_be_held(replace(dataset, doubtful=True), base)  # and would stay
 
 
 def test_what_is_missing_is_named_alone_once_the_input_is_right(model, logged):

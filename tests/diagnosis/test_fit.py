@@ -7,23 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.bench import lens_of
-from bristle.diagnosis.candidates import freedom, relaid, scanned
-from bristle.diagnosis.fit import (
-    Begin,
-    Free,
-    begun_well,
-    eased,
-    evaluate,
-    laid,
-    paid_for_starts,
-    refit,
-    rescored,
-    resume,
-)
-from bristle.diagnosis.intervals import covariance
-from bristle.diagnosis.search import look
-from bristle.diagnosis.size import squares
+from bristle.diagnosis.estimation.initial_states import initialise_load, refine_initial_states
+from bristle.diagnosis.estimation.likelihood import Begin, evaluate, initial_state_price, rescored, squares
+from bristle.diagnosis.estimation.optimiser import refit, refit_initial_states, refit_load, refit_nonsmooth, resume
+from bristle.diagnosis.estimation.simulator import Free, free_parameters
+from bristle.diagnosis.estimation.uncertainty import covariance
+from bristle.diagnosis.localisation.residual_response import response_of
+from bristle.diagnosis.selection.stepwise import evaluate_candidates
 
 TRUE = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
 HIDDEN = {  # effect: (parameters it was simulated with, largest error relative to them)
@@ -40,7 +30,7 @@ HIDDEN = {  # effect: (parameters it was simulated with, largest error relative 
 
 def joined(case, name):
     """An effect refitted from its own starts, on top of a model that lacks it, under the noise it leaves."""
-    [found] = look(case.bench, case.base, [name], lambda text, share: None).candidates
+    [found] = evaluate_candidates(case.dataset, case.base, [name], lambda text, share: None).candidates
     return found
 
 
@@ -94,7 +84,7 @@ def test_a_refit_comes_home_from_afar(case):
     plain = case(None)
     best = plain.base.fit
     away = {**best.values, "J": 0.02, "a2": 0.06, "coulomb.Fc": 0.05}
-    found = refit(plain.base.problem, best.simulator, best.free, away, plain.bench.segments.starts, 30)
+    found = refit(plain.base.problem, best.simulator, best.free, away, plain.dataset.segments.starts, 30)
     for key in TRUE:
         assert found.values[key] == pytest.approx(best.values[key], rel=2e-3)
 
@@ -105,7 +95,7 @@ def test_no_step_makes_it_worse(case):
     for inertia, level in ((0.004, 0.3), (0.04, 0.02), (0.02, 0.4), (0.005, 0.01)):
         away = {**best.values, "J": inertia, "coulomb.Fc": level}
         totals = [
-            refit(plain.base.problem, best.simulator, best.free, away, plain.bench.segments.starts, count).total
+            refit(plain.base.problem, best.simulator, best.free, away, plain.dataset.segments.starts, count).total
             for count in range(5)
         ]
         assert totals == sorted(totals)
@@ -179,7 +169,7 @@ def test_what_is_known_beforehand_pulls(case):
 def test_segments_that_are_not_judged_do_not_count(case):
     plain = case(None)
     problem, best = plain.base.problem, plain.base.fit
-    mask = problem.judged & (plain.bench.segments.block % 2 == 0)
+    mask = problem.judged & (plain.dataset.segments.block % 2 == 0)
     seen = np.where(mask[:, None], problem.seen, 7.0)
     one, two = (
         evaluate(replace(problem, judged=mask, seen=s), best.simulator, best.free, best.values, best.starts)
@@ -193,48 +183,48 @@ def test_segments_that_are_not_judged_do_not_count(case):
 def test_a_torque_in_the_residual_is_read_through_the_lens(case):
     """The linear answer comes near the truth already; what the model's own parameters can do counts for nothing."""
     hidden = case("cogging")
-    lens, m = lens_of(hidden.base, hidden.bench), hidden.bench.motion
-    coefficients, gain = lens.regress(np.column_stack([np.sin(7 * m.theta), np.cos(7 * m.theta)]))
+    response, m = response_of(hidden.base, hidden.dataset), hidden.dataset.motion
+    coefficients, gain = response.regress(np.column_stack([np.sin(7 * m.theta), np.cos(7 * m.theta)]))
     assert coefficients[0] == pytest.approx(0.08, rel=0.25)  # the model adds this torque to the motor's
     assert abs(coefficients[1]) < 0.02
     assert gain > 50
-    assert gain > 5 * lens.regress(np.column_stack([np.sin(5 * m.theta), np.cos(5 * m.theta)]))[1]
-    own = lens.free_of_model(lens.model)
-    assert np.max(np.abs(own)) < 1e-6 * np.max(np.abs(lens.model))
+    assert gain > 5 * response.regress(np.column_stack([np.sin(5 * m.theta), np.cos(5 * m.theta)]))[1]
+    own = response.free_of_model(response.model)
+    assert np.max(np.abs(own)) < 1e-6 * np.max(np.abs(response.model))
 
 
 def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
     """Parameters stay; the likelihood of the disturbed segments comes back to what it was."""
     plain = case(None)
-    problem = plain.base.problem.only(plain.bench.held)
-    best = begun_well(problem, plain.base.fit)
-    off = best.starts + np.where(plain.bench.held[:, None], 30 * problem.spread, 0.0)
-    again = begun_well(problem, replace(best, starts=off))
+    problem = plain.base.problem.only(plain.dataset.held)
+    best = refit_initial_states(problem, plain.base.fit)
+    off = best.starts + np.where(plain.dataset.held[:, None], 30 * problem.spread, 0.0)
+    again = refit_initial_states(problem, replace(best, starts=off))
     assert again.values == best.values
-    assert again.here[plain.bench.held].sum() == pytest.approx(best.here[plain.bench.held].sum(), abs=1.0)
+    assert again.here[plain.dataset.held].sum() == pytest.approx(best.here[plain.dataset.held].sum(), abs=1.0)
     still = evaluate(problem, best.simulator, (), best.values, off)
-    assert still.here[plain.bench.held].sum() < best.here[plain.bench.held].sum() - 100
+    assert still.here[plain.dataset.held].sum() < best.here[plain.dataset.held].sum() - 100
 
 
 def test_what_switches_is_found_from_a_value_that_is_off(case):
     """Steps along derivatives end at a small maximum near where they begin; trials around it go on."""
     hidden = case("dead_zone")
-    free = (*hidden.base.fit.free, *freedom("dead_zone", {"width": 0.06}, {}))
+    free = (*hidden.base.fit.free, *free_parameters("dead_zone", {"width": 0.06}, {}))
     simulator = hidden.base.servo.simulator(hidden.base.fit.simulator.segments, ("dead_zone",))
     values = {**hidden.base.fit.values, "dead_zone.width": 0.04}
     first = evaluate(hidden.base.problem, simulator, free, values, hidden.base.fit.starts)
     problem = hidden.base.problem
-    tried = scanned(first, lambda fit: problem, ("dead_zone",))
+    tried = refit_nonsmooth(first, lambda fit: problem, ("dead_zone",))
     assert tried.total > resume(problem, first).total - 1.0
     assert tried.total > first.total + 50
-    assert scanned(first, lambda fit: problem, ("gravity",)).values == first.values
+    assert refit_nonsmooth(first, lambda fit: problem, ("gravity",)).values == first.values
 
 
 @pytest.fixture(scope="module")
 def rattling(case):
     """A servo with backlash from a play and a stiffness that are far off, and what the records show of it."""
     backlash = case("backlash")
-    free = (*backlash.base.fit.free, *freedom("backlash", {"share": 0.5, "play": 0.03, "stiffness": 50.0}, {}))
+    free = (*backlash.base.fit.free, *free_parameters("backlash", {"share": 0.5, "play": 0.03, "stiffness": 50.0}, {}))
     simulator = backlash.base.servo.simulator(backlash.base.fit.simulator.segments, ("backlash",))
     off = {"backlash.share": 0.35, "backlash.play": 0.04, "backlash.stiffness": 25.0, "backlash.dissipation": 1.0}
     values = {**backlash.base.fit.values, **off}
@@ -244,23 +234,23 @@ def rattling(case):
 def test_a_loose_load_is_found_from_a_play_and_a_stiffness_that_are_far_off(rattling):
     """Steps along derivatives keep the load at the side where it lay; laid anew in each segment, it leads to the truth."""
     backlash, first = rattling
-    steps = resume(backlash.bench.left_by(first), first)
-    found = relaid(steps, backlash.bench.left_by)
-    assert found.total > rescored(backlash.bench.left_by(found), steps).total + 100
+    steps = resume(backlash.dataset.left_by(first), first)
+    found = refit_load(steps, backlash.dataset.left_by)
+    assert found.total > rescored(backlash.dataset.left_by(found), steps).total + 100
     assert found.values["backlash.play"] == pytest.approx(0.03, rel=0.05)
     plain = backlash.base.fit
-    assert relaid(plain, backlash.bench.left_by) is plain  # nothing is loose there
+    assert refit_load(plain, backlash.dataset.left_by) is plain  # nothing is loose there
 
 
 def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
     """No segment is the worse for it, and the likelihood comes near what it was."""
     backlash, first = rattling
     problem = backlash.base.problem
-    right = laid(problem, first, 3)
+    right = initialise_load(problem, first, 3)
     wrong = right.starts.copy()
     wrong[:, 2] *= -1
     moved = evaluate(problem, right.simulator, right.free, right.values, wrong)
-    again = laid(problem, moved, 3)
+    again = initialise_load(problem, moved, 3)
     assert moved.here[problem.judged].sum() < right.here[problem.judged].sum() - 100
     assert np.all(again.here >= moved.here)
     assert again.here[problem.judged].sum() > right.here[problem.judged].sum() - 20
@@ -270,10 +260,10 @@ def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
 def test_steps_of_start_states_make_no_segment_worse(rattling):
     backlash, first = rattling
     problem = backlash.base.problem
-    after = eased(problem, first, 3)
+    after = refine_initial_states(problem, first, 3)
     assert np.all(after.here >= first.here)
     assert after.here[problem.judged].sum() > first.here[problem.judged].sum() + 10
-    assert eased(problem, first, 0) is first
+    assert refine_initial_states(problem, first, 0) is first
 
 
 def test_start_states_that_no_sensor_shows_are_paid_for():
@@ -287,9 +277,9 @@ def test_start_states_that_no_sensor_shows_are_paid_for():
     precision = np.array([[1.0, 1.0, 0.25, 4.0]])
     begin = Begin.of(columns, np.zeros((1, 50)), precision, np.zeros((1, 4)))
     expected = 0.5 * np.log(1 + shape @ shape / 0.25)
-    np.testing.assert_allclose(paid_for_starts(begin, precision), [expected], rtol=1e-9)
+    np.testing.assert_allclose(initial_state_price(begin, precision), [expected], rtol=1e-9)
     sure = Begin.of(columns[:, :, :2], np.zeros((1, 50)), precision[:, :2], np.zeros((1, 2)))
-    assert paid_for_starts(sure, precision[:, :2]) == 0.0
+    assert initial_state_price(sure, precision[:, :2]) == 0.0
 
 
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e12])
@@ -323,14 +313,14 @@ def test_ends_of_an_interval_of_either_sign(ends, stuck, free, wider):
 
 
 def test_a_segment_whose_simulation_failed_is_no_perfect_one(case):
-    bench, fit = case(None).bench, case(None).base.fit
-    one = int(np.flatnonzero(bench.held)[0])
+    dataset, fit = case(None).dataset, case(None).base.fit
+    one = int(np.flatnonzero(dataset.held)[0])
     lost = fit.good.copy()
     lost[one] = False
     kept = fit.raw_by_start * lost[:, None, None]
     failed = replace(fit, good=lost, residual=np.where(lost[:, None], fit.residual, 0.0), raw_by_start=kept)
-    before, after = squares(fit, bench.held), squares(failed, bench.held)
-    assert after[0] == pytest.approx(float(np.var(bench.segments.seen[one])))
+    before, after = squares(fit, dataset.held), squares(failed, dataset.held)
+    assert after[0] == pytest.approx(float(np.var(dataset.segments.seen[one])))
     assert after[0] > 10 * before[0]
     np.testing.assert_array_equal(after[1:], before[1:])
 
@@ -349,7 +339,7 @@ def test_what_the_model_can_do_by_itself_is_told(case):
 
 
 def test_a_motion_of_nothing_is_missed_and_no_error(case):
-    bench, fit = case(None).bench, case(None).base.fit
-    pieces = tuple(replace(piece, seen=0 * piece.seen) for piece in bench.segments.pieces)
-    still = replace(bench, segments=replace(bench.segments, pieces=pieces))
+    dataset, fit = case(None).dataset, case(None).base.fit
+    pieces = tuple(replace(piece, seen=0 * piece.seen) for piece in dataset.segments.pieces)
+    still = replace(dataset, segments=replace(dataset.segments, pieces=pieces))
     assert still.missed(fit) > 1.0

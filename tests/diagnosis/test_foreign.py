@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose_fmu, records_from_arrays
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import Play, Stretch, _Player, _whole, play_whole
-from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 

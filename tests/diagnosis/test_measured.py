@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, diagnose, records_from_arrays
-from bristle.diagnosis.excitation import excitation
-from bristle.diagnosis.plausibility import check
+from bristle.diagnosis.checks.excitation import excitation
+from bristle.diagnosis.checks.plausibility import check
 
-_spec = importlib.util.spec_from_file_location("measured", Path(__file__).parents[2] / "benchmarks" / "measured" / "records.py")
+_PATH = Path(__file__).parents[2] / "benchmarks" / "measured" / "measured_data.py"
+_spec = importlib.util.spec_from_file_location("measured", _PATH)
 assert _spec is not None
 assert _spec.loader is not None
 measured = importlib.util.module_from_spec(_spec)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bristle.diagnosis.noise import CORNERS, estimate, response
+from bristle.diagnosis.estimation.noise import CORNERS, estimate, response
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 

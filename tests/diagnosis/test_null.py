@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bristle.diagnosis.null import CLIP, LEVEL, REPLICATES, USUAL, Null, directions, largest_gain
+from bristle.diagnosis.localisation.residual_response import directions
+from bristle.diagnosis.selection.null_distribution import (
+    FALSE_ALARM_RATE,
+    REPLICATES,
+    SCORE_CLIP,
+    USUAL_QUANTILE,
+    Null,
+    largest_gain,
+)
 
 SEGMENTS, BINS = 150, 12
 
@@ -26,10 +34,10 @@ def gains_of(banks, rest, weight):
 @pytest.mark.parametrize("sizes", [(1,), (3,), (2, 2, 2), (1, 2, 3, 4)])
 def test_the_level_is_that_of_the_closed_form(sizes):
     """Twice the gain of k white directions is chi2 with k degrees; the largest is that above what each usually reaches."""
-    usual = [chi2.ppf(USUAL, k) / 2 for k in sizes]
+    usual = [chi2.ppf(USUAL_QUANTILE, k) / 2 for k in sizes]
     above = np.linspace(0.0, 40.0, 4000)
     below = np.prod([chi2.cdf(2 * (above + q), k) for k, q in zip(sizes, usual, strict=True)], axis=0)
-    exact = float(np.interp(1 - LEVEL, below, above)) + usual[-1]
+    exact = float(np.interp(1 - FALSE_ALARM_RATE, below, above)) + usual[-1]
     found = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -76,7 +84,7 @@ def test_one_observation_does_not_make_its_own_level():
     rest[7] += 20 * bank[7, :, 0]
     null = largest_gain({"stop": [bank]}, rest, weight)
     assert gains_of({"stop": [bank]}, rest, weight)["stop"] > 150
-    assert null.level("stop") <= CLIP**2 / 2 + 1e-9
+    assert null.level("stop") <= SCORE_CLIP**2 / 2 + 1e-9
 
 
 def test_p_is_never_below_what_the_replicates_can_show():

@@ -6,9 +6,9 @@ import zipfile
 
 import pytest
 
+from bristle.common.errors import BristleError
 from bristle.diagnosis import fmu_model
 from bristle.fmus import obtain
-from bristle.model.errors import BristleError
 from bristle.plant.friction import laws
 
 

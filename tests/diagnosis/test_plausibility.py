@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
-from bristle.diagnosis.plausibility import check
+from bristle.diagnosis.checks.plausibility import check
 from bristle.plant.effects import effects
 
 OFF = [(2.0, 2.0, 2.0), (0.5, 0.5, 0.5), (2.0, 0.5, 2.0)]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bristle.diagnosis.remains import remains
-from bristle.diagnosis.result import Gap
-from bristle.diagnosis.views import STRETCHES, Share
+from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
+from bristle.diagnosis.localisation.unexplained import unexplained
+from bristle.diagnosis.localisation.views import Share
+from bristle.diagnosis.report.result import Gap
 
 TURN = 2 * np.pi
 HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the error
@@ -15,7 +16,7 @@ HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the er
 
 def said(share, *named, gap=HALF, turn=TURN, odd=False, disturbance=0.0, **values):
     """What remains of a residual in which one view shows."""
-    return remains([share, Share("t", 0.01, 1.0)], values, named, gap, turn, gap.before / gap.after, odd, disturbance)
+    return unexplained([share, Share("t", 0.01, 1.0)], values, named, gap, turn, gap.before / gap.after, odd, disturbance)
 
 
 def test_what_is_sure_and_large_remains_in_whatever_view():
@@ -87,5 +88,5 @@ def test_waves_are_counted_along_the_path_that_a_motion_repeats_after():
 
 
 def test_stretches_that_a_rattling_contact_sends_elsewhere_are_no_news():
-    assert not said(Share(STRETCHES, 0.9, 0.001), "backlash").flag
-    assert said(Share(STRETCHES, 0.9, 0.001), "gravity").flag
+    assert not said(Share(OUTLIERS, 0.9, 0.001), "backlash").flag
+    assert said(Share(OUTLIERS, 0.9, 0.001), "gravity").flag

@@ -12,14 +12,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.candidates import Candidate
-from bristle.diagnosis.figures import Rig, draw, telling
-from bristle.diagnosis.null import Null
-from bristle.diagnosis.report import interval, render
-from bristle.diagnosis.result import Estimate, Gap, Named, Remains, Trace
-from bristle.diagnosis.story import experiment, on_axis, statement, told, undetected, value, view_name
-from bristle.diagnosis.views import STRETCHES
-from bristle.model.drawing import RED
+from bristle.common.drawing import RED
+from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
+from bristle.diagnosis.report.figures import Rig, draw, telling
+from bristle.diagnosis.report.html import interval, render
+from bristle.diagnosis.report.result import Estimate, Gap, Named, Remains, Trace
+from bristle.diagnosis.report.text import experiment, on_axis, statement, told_parameters, undetected, value, view_name
+from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.null_distribution import Null
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 VOID = {"meta", "img", "br"}
@@ -143,13 +143,13 @@ def test_a_tone_is_told_with_its_frequency_and_how_to_look_for_it(answer):
     assert "tone in time (3 Hz)" in text_of(page_of(replace(answer("none"), remains=tone)))
     assert "with the input at zero" in experiment((), tone, "")
     assert "with the input at zero" not in experiment((("bias", "gravity"),), tone, "")  # what is left is that of the tie
-    few = Remains(True, STRETCHES, 0.7, 0.0, "16 of 180 stretches, the worst at 1.4 s")
+    few = Remains(True, OUTLIERS, 0.7, 0.0, "16 of 180 stretches, the worst at 1.4 s")
     assert "70% of the residual lies in 16 of 180 stretches" in " ".join(statement("none", (), (), answer("none").gap, few, {}))
 
 
 def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
     first, second = answer("named").where
-    burst = replace(first, view=STRETCHES, label="3 of 75 stretches, the worst at 0.5 s", share=0.99)
+    burst = replace(first, view=OUTLIERS, label="3 of 75 stretches, the worst at 0.5 s", share=0.99)
     text = text_of(page_of(replace(answer("named"), where=(replace(first, share=1.0, p=0.9), second, burst))))
     assert text.index("far off: 3 of 75 stretches") < text.index("velocity 5 %") < text.index("position 100 %")
 
@@ -365,14 +365,14 @@ def test_a_sentence_gives_the_digits_that_the_interval_calls_for(estimate, expec
 
 def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
     [cogging] = answer("named").effects
-    assert list(told(cogging)) == ["amplitude", "phase", "periods"]
+    assert list(told_parameters(cogging)) == ["amplitude", "phase", "periods"]
     there = {**cogging.parameters, "amplitude2": Estimate(0.01, "N.m", (0.009, 0.011))}
-    assert list(told(replace(cogging, parameters=there))) == list(cogging.parameters)
+    assert list(told_parameters(replace(cogging, parameters=there))) == list(cogging.parameters)
     sine, cosine = Estimate(0.01, "1", (-0.01, 0.03)), Estimate(0.1, "1", (0.08, 0.12))
     unbent = Named("gravity", "", {"amplitude": cosine, "sine2": sine, "cosine2": sine}, 9.0, 0.1)
-    assert list(told(unbent)) == ["amplitude"]
+    assert list(told_parameters(unbent)) == ["amplitude"]
     bent = replace(unbent, parameters={**unbent.parameters, "cosine2": cosine})
-    assert list(told(bent)) == ["amplitude", "sine2", "cosine2"]
+    assert list(told_parameters(bent)) == ["amplitude", "sine2", "cosine2"]
 
 
 def test_words_are_those_of_the_axis_and_of_its_input():

@@ -8,19 +8,25 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.diagnosis import intervals, workflow
-from bristle.diagnosis import search as search_module
-from bristle.diagnosis.bench import HELD, Bench, lens_of
-from bristle.diagnosis.candidates import HASTY, PATIENT, Candidate, Servo, beside, evidence, standing
-from bristle.diagnosis.candidates import Test as Worth
-from bristle.diagnosis.fit import Free
-from bristle.diagnosis.judge import Verdict, _spares, beyond_doubt, judged, matters
-from bristle.diagnosis.lens import Motion
-from bristle.diagnosis.null import Null
-from bristle.diagnosis.prepare import base_of
-from bristle.diagnosis.search import _together, amiss, considered, extend, goes_far, look, mends_form, search, worth_adding
-from bristle.diagnosis.size import acting_fall, fall
-from bristle.diagnosis.views import FLIPS, clocks, line_p, spectrum
+from bristle.diagnosis import workflow
+from bristle.diagnosis.estimation import uncertainty as intervals
+from bristle.diagnosis.estimation.dataset import HELD_OUT_EVERY, Dataset
+from bristle.diagnosis.estimation.optimiser import perturbed
+from bristle.diagnosis.estimation.segments import Motion
+from bristle.diagnosis.estimation.simulator import Free, Servo
+from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, line_p, spectrum
+from bristle.diagnosis.localisation.residual_response import response_of
+from bristle.diagnosis.localisation.views import clocks
+from bristle.diagnosis.preparation import base_servo_of
+from bristle.diagnosis.selection import stepwise as search_module
+from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, Candidate
+from bristle.diagnosis.selection.candidates import Test as Worth
+from bristle.diagnosis.selection.criterion import SearchRound, accept_or_reject, beyond_doubt, is_large_enough, is_simpler_equal
+from bristle.diagnosis.selection.effect_size import acting_fall, fall
+from bristle.diagnosis.selection.null_distribution import Null
+from bristle.diagnosis.selection.refinement import add_effect, mends_form, shape_is_distinct
+from bristle.diagnosis.selection.start_values import bristle_starts, evidence
+from bristle.diagnosis.selection.stepwise import _together, evaluate_candidates, poor_fit, propose_effect, search, worth_adding
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect, effects
 
@@ -54,11 +60,11 @@ def test_beyond_doubt_is_what_is_far_above_chance_and_agreed_upon_or_farther(gai
     ],
 )  # fmt: skip
 def test_what_matters_lowers_the_error_unless_it_is_beyond_doubt(size, sure, coupling, enough):
-    assert matters(size, sure, coupling) is enough
+    assert is_large_enough(size, sure, coupling) is enough
 
 
-def verdict(name: str, gain: float, size: float, kept: float) -> Verdict:
-    return Verdict((), Null(np.full(999, LEVEL), {}), 0.0, Candidate(name, None), gain, size, (), "", kept=kept)
+def verdict(name: str, gain: float, size: float, kept: float) -> SearchRound:
+    return SearchRound((), Null(np.full(999, LEVEL), {}), 0.0, Candidate(name, None), gain, size, (), "", kept=kept)
 
 
 @pytest.mark.parametrize(
@@ -82,26 +88,26 @@ def test_a_further_effect_is_large_sure_and_holds_elsewhere(name, gain, size, ke
     ],
 )  # fmt: skip
 def test_a_multiple_of_a_wave_mends_its_form(has, name, periods, form):
-    bench = SimpleNamespace(turn=2 * np.pi)
-    stage = SimpleNamespace(servo=SimpleNamespace(effects=(has,)), fit=SimpleNamespace(values={}))
+    dataset = SimpleNamespace(turn=2 * np.pi)
+    fitted = SimpleNamespace(servo=SimpleNamespace(effects=(has,)), fit=SimpleNamespace(values={}))
     best = SimpleNamespace(name=name, fit=SimpleNamespace(values={f"{name}.periods": periods}))
-    assert mends_form(bench, stage, best) is form
+    assert mends_form(dataset, fitted, best) is form
 
 
 def test_the_search_sees_the_ends_of_the_range(case):
     """A segment that would be kept from it, but for the largest position, the lowest or an extreme of the input."""
-    bench = case(None).bench
-    length = len(bench.motion.theta) // len(bench.segments.judged)
-    kept = int(np.flatnonzero(bench.held)[1])
-    assert bench.segments.block[kept] % HELD == HELD - 1
+    dataset = case(None).dataset
+    length = len(dataset.motion.theta) // len(dataset.segments.judged)
+    kept = int(np.flatnonzero(dataset.held)[1])
+    assert dataset.segments.block[kept] % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
     for name, value in (("theta", 1e3), ("theta", -1e3), ("u", 1e3), ("u", -1e3)):
-        x = getattr(bench.motion, name).copy()
+        x = getattr(dataset.motion, name).copy()
         x[kept * length + 7] = value
-        other = replace(bench, motion=replace(bench.motion, **{name: x}))
+        other = replace(dataset, motion=replace(dataset.motion, **{name: x}))
         assert not other.held[kept]
         assert other.train[kept]
         assert not (other.held & other.train).any()
-    assert np.array_equal(bench.held | bench.train, bench.segments.judged)
+    assert np.array_equal(dataset.held | dataset.train, dataset.segments.judged)
 
 
 def spectrum_p(seed: int, tone: float) -> float:
@@ -110,7 +116,7 @@ def spectrum_p(seed: int, tone: float) -> float:
     time = 0.4 * np.arange(60)[:, None] + 0.008 * np.arange(50)
     slow = np.cumsum(rng.standard_normal((60, 50)), axis=1)
     slow -= slow.mean(axis=1, keepdims=True)
-    signs = np.concatenate([np.ones((1, 60)), rng.choice([-1.0, 1.0], (FLIPS // 5, 60))])
+    signs = np.concatenate([np.ones((1, 60)), rng.choice([-1.0, 1.0], (SIGN_DRAWS // 5, 60))])
     return line_p(time, np.zeros(60, dtype=int), slow + tone * np.sin(2 * np.pi * 3.1 * time), signs)
 
 
@@ -142,7 +148,7 @@ def test_a_tone_of_one_record_is_seen_whichever_record_begins_at_the_same_time(s
     rough = np.sin(2 * np.pi * 3.1 * time) * (clock == shown)[:, None] + np.random.default_rng(5).standard_normal(time.shape)
     frequency, amplitudes = spectrum(time, clock, rough)
     assert frequency[np.argmax(amplitudes(np.ones(100)))] == pytest.approx(3.1, abs=0.02)
-    signs = np.concatenate([np.ones((1, 100)), np.random.default_rng(6).choice([-1.0, 1.0], (FLIPS // 5, 100))])
+    signs = np.concatenate([np.ones((1, 100)), np.random.default_rng(6).choice([-1.0, 1.0], (SIGN_DRAWS // 5, 100))])
     assert line_p(time, clock, rough, signs) < 0.01
 
 
@@ -160,14 +166,16 @@ def test_a_step_is_looked_for_where_there_are_records():
 
 def test_something_is_kept_from_the_search_of_the_shortest_record(case):
     """Five segments of which the only one to keep holds an end of the range, and two, of which none is the fourth."""
-    bench = case(None).bench
-    length = len(bench.motion.theta) // len(bench.segments.judged)
+    dataset = case(None).dataset
+    length = len(dataset.motion.theta) // len(dataset.segments.judged)
     for count in (5, 2):
-        piece = bench.segments.pieces[0]
+        piece = dataset.segments.pieces[0]
         piece = replace(piece, u=piece.u[: count * length], **{k: getattr(piece, k)[:count] for k in ("seen", "starts", "spread")})
         theta, u = np.zeros(count * length), np.zeros(count * length)
         theta[min(3, count - 1) * length] = 1.0
-        short = replace(bench, segments=replace(bench.segments, pieces=(piece,)), motion=replace(bench.motion, theta=theta, u=u))
+        short = replace(
+            dataset, segments=replace(dataset.segments, pieces=(piece,)), motion=replace(dataset.motion, theta=theta, u=u)
+        )
         assert short.held.tolist() == [k == min(3, count - 1) for k in range(count)]
 
 
@@ -184,7 +192,7 @@ def test_an_uneven_likelihood_makes_a_wide_interval(monkeypatch, uneven, curve, 
 
     monkeypatch.setattr(intervals, "evaluate", likelihood)
     fit = SimpleNamespace(values={name: 5.0}, simulator=None, starts=None)
-    [half] = intervals.reach(None, fit, [Free(name, 0.0, 10.0)]).values()
+    [half] = intervals.parabola_half_widths(None, fit, [Free(name, 0.0, 10.0)]).values()
     assert low <= half <= high
 
 
@@ -208,15 +216,15 @@ def test_only_bounds_that_the_records_leave_are_proposed_to_be_widened(monkeypat
     )
     final = SimpleNamespace(fit=SimpleNamespace(total=100.0, free=free))
     wide = SimpleNamespace(fit=SimpleNamespace(total=200.0, free=free, values={"J": 0.01, "coulomb.Fc": friction}))
-    monkeypatch.setattr(workflow, "settle", lambda bench, servo, values: wide)
+    monkeypatch.setattr(workflow, "fit_with_noise", lambda dataset, servo, values: wide)
     model = replace(fabricated.model(), bounds={f.name: (f.low, f.high) for f in free})
     line = workflow.better_unbound(model, SimpleNamespace(train=np.ones(9)), base, final)
     assert [name for name in ("J", "coulomb.Fc") if f"{name} near" in line] == lines
 
 
 def test_a_moment_moves_by_seconds_and_a_play_by_factors():
-    assert beside("disturbance_step.onset", 5.0, 0.1) == pytest.approx(5.1)
-    assert beside("backlash.play", 0.02, 0.1) == pytest.approx(0.02 * np.exp(0.1))
+    assert perturbed("disturbance_step.onset", 5.0, 0.1) == pytest.approx(5.1)
+    assert perturbed("backlash.play", 0.02, 0.1) == pytest.approx(0.02 * np.exp(0.1))
 
 
 def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
@@ -231,20 +239,20 @@ def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
 
 def test_bristles_also_begin_as_those_of_the_model(case):
     base = case(None).base
-    [start] = standing(base.servo, "bristle_damping", base.fit)
+    [start] = bristle_starts(base.servo, "bristle_damping", base.fit)
     assert start == {key: base.fit.values[f"bristle_damping.{key}"] for key in ("stiffness", "damping")}
-    assert list(standing(base.servo, "presliding", base.fit)[0]) == ["stiffness"]
-    assert standing(base.servo, "cogging", base.fit) == []
-    assert standing(replace(base.servo, rigid=False), "bristle_damping", base.fit) == []
+    assert list(bristle_starts(base.servo, "presliding", base.fit)[0]) == ["stiffness"]
+    assert bristle_starts(base.servo, "cogging", base.fit) == []
+    assert bristle_starts(replace(base.servo, rigid=False), "bristle_damping", base.fit) == []
 
 
 @pytest.mark.parametrize("away", [True, False])
 def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(away, case, monkeypatch):
     made = case("cogging")
-    monkeypatch.setattr(Bench, "away", lambda bench, fit: away)
-    lens = lens_of(made.base, made.bench)
-    e = evidence(made.bench.motion, lens, made.base.fit, made.bench.resolution, made.bench.turn)
-    begun = _together(made.bench, made.base, e)("cogging")
+    monkeypatch.setattr(Dataset, "away", lambda dataset, fit: away)
+    response = response_of(made.base, made.dataset)
+    e = evidence(made.dataset.motion, response, made.base.fit, made.dataset.resolution, made.dataset.turn)
+    begun = _together(made.dataset, made.base, e)("cogging")
     half = 0.5 * made.base.fit.values["coulomb.Fc"]
     found = [s for whole, s in begun if whole.get("coulomb.Fc") == half and whole["cogging.periods"] == s["periods"]]
     assert bool(found) is away
@@ -253,12 +261,12 @@ def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(away, 
 
 def test_a_dead_zone_that_swallows_most_of_the_input_must_be_beyond_doubt(case, monkeypatch):
     made = case("dead_zone")
-    assert made.base.servo.credible["dead_zone.width"][1] == pytest.approx(np.median(np.abs(made.bench.motion.u)))
+    assert made.base.servo.credible["dead_zone.width"][1] == pytest.approx(np.median(np.abs(made.dataset.motion.u)))
     odd = replace(made.base, servo=replace(made.base.servo, credible={"dead_zone.width": (0.0, 0.01)}))
-    assert look(made.bench, odd, ["dead_zone"], quiet).best.name == "dead_zone"
-    monkeypatch.setattr(search_module, "ALONE", 1e6)
-    assert look(made.bench, odd, ["dead_zone"], quiet).best is None
-    assert look(made.bench, made.base, ["dead_zone"], quiet).best.name == "dead_zone"
+    assert evaluate_candidates(made.dataset, odd, ["dead_zone"], quiet).best.name == "dead_zone"
+    monkeypatch.setattr(search_module, "CERTAIN_LEVELS", 1e6)
+    assert evaluate_candidates(made.dataset, odd, ["dead_zone"], quiet).best is None
+    assert evaluate_candidates(made.dataset, made.base, ["dead_zone"], quiet).best.name == "dead_zone"
 
 
 def fitted(name, size, each, n=100):
@@ -283,8 +291,8 @@ def test_of_two_effects_that_lower_the_error_alike_the_plainer_one_is_named(ahea
     rich.fit.score[:50] += 0.4  # where the step is not yet: what the difference is uncertain by
     rich.fit.score[50:] -= 0.4
     worth = {c.name: Worth(f, 10.0, True, True) for c, f in ((plain, falls[0]), (rich, falls[1]))}
-    assert _spares(plain, rich, worth) is spared
-    assert not _spares(rich, plain, worth)
+    assert is_simpler_equal(plain, rich, worth) is spared
+    assert not is_simpler_equal(rich, plain, worth)
 
 
 def quiet(text, share):
@@ -306,8 +314,8 @@ def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
     ends = []
     for given in (usual, FORMS[name]):
         made = case(name, **given)
-        verdict = look(made.bench, made.base, [name], quiet)
-        ends.append(extend(made.base, made.bench, verdict.candidates[0], verdict.null.level(name)).fit)
+        verdict = evaluate_candidates(made.dataset, made.base, [name], quiet)
+        ends.append(add_effect(made.base, made.dataset, verdict.candidates[0], verdict.null.level(name)).fit)
     assert not {f"{name}.{short}" for short in bending} & {f.name for f in ends[0].free}
     for short in bending:
         assert ends[1].values[f"{name}.{short}"] == pytest.approx(FORMS[name][short], rel=0.25)
@@ -324,7 +332,7 @@ def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
 )
 def test_a_contact_hardly_bent_has_no_other_form(name, far):
     key, value = name.split("=")
-    assert goes_far(key.split(".")[0], {key: float(value)}) is far
+    assert shape_is_distinct(key.split(".")[0], {key: float(value)}) is far
 
 
 def test_every_form_is_tried():
@@ -334,52 +342,53 @@ def test_every_form_is_tried():
 def test_what_few_steps_do_not_reach_is_found_with_patience(case):
     """A shaft that two starts of few steps miss by thousands of nats; the model is seen to be far off."""
     made = case("compliance", share=0.25, stiffness=3.0, damping=0.004)
-    bench, base = made.bench, made.base
-    assert considered(bench, base, ["compliance"], None, quiet, HASTY)[1]
-    assert amiss(bench, base)
-    verdict, why = considered(bench, base, ["compliance"], None, quiet, PATIENT)
+    dataset, base = made.dataset, made.base
+    assert propose_effect(dataset, base, ["compliance"], None, quiet, QUICK)[1]
+    assert poor_fit(dataset, base)
+    verdict, why = propose_effect(dataset, base, ["compliance"], None, quiet, EXHAUSTIVE)
     assert not why
     assert verdict.gain > 1000
-    assert search(bench, base, quiet)[0].servo.effects == ("compliance",)
+    assert search(dataset, base, quiet)[0].servo.effects == ("compliance",)
 
 
 def test_a_contact_is_found_because_its_load_lies_where_it_may(case, monkeypatch):
     """From starts that are far off, in few steps; further from the truth if none is laid."""
     made = case("backlash", share=0.3, play=0.04, stiffness=350.0, dissipation=2.3)
-    verdict, why = considered(made.bench, made.base, ["backlash"], None, quiet, HASTY)
+    verdict, why = propose_effect(made.dataset, made.base, ["backlash"], None, quiet, QUICK)
     assert not why
     assert verdict.gain > 1000
     assert verdict.best.fit.values["backlash.play"] == pytest.approx(0.04, rel=0.05)
-    monkeypatch.setattr("bristle.diagnosis.candidates.laid", lambda problem, fit, steps=0: fit)
-    assert considered(made.bench, made.base, ["backlash"], None, quiet, HASTY)[0].gain < verdict.gain - 100
+    for module in ("estimation.optimiser", "selection.start_values"):
+        monkeypatch.setattr(f"bristle.diagnosis.{module}.initialise_load", lambda problem, fit, steps=0: fit)
+    assert propose_effect(made.dataset, made.base, ["backlash"], None, quiet, QUICK)[0].gain < verdict.gain - 100
 
 
 def test_a_model_that_lacks_nothing_is_not_far_off(case):
     made = case(None)
-    assert not amiss(made.bench, made.base)
+    assert not poor_fit(made.dataset, made.base)
 
 
 def test_an_effect_is_refused_only_after_its_other_form_was_tried(case, monkeypatch):
     """A disc with a second harmonic: made too small by hand, the usual form is refused, the other one named."""
     made = case("eccentric_encoder", **FORMS["eccentric_encoder"])
-    bench, base = made.bench, made.base
+    dataset, base = made.dataset, made.base
 
-    def judge(bench, stage, tried, beyond, null):
-        verdict = judged(bench, stage, tried, beyond, null)
+    def judge(dataset, fitted, tried, beyond, null):
+        verdict = accept_or_reject(dataset, fitted, tried, beyond, null)
         return verdict if "eccentric_encoder.sine2" in [f.name for f in verdict.best.fit.free] else replace(verdict, large=False)
 
-    monkeypatch.setattr("bristle.diagnosis.search.judged", judge)
-    verdict, why = considered(bench, base, ["eccentric_encoder"], None, quiet, HASTY)
+    monkeypatch.setattr("bristle.diagnosis.selection.stepwise.accept_or_reject", judge)
+    verdict, why = propose_effect(dataset, base, ["eccentric_encoder"], None, quiet, QUICK)
     assert not why
     assert verdict.best.fit.values["eccentric_encoder.sine2"] == pytest.approx(0.2, rel=0.25)
-    monkeypatch.setattr("bristle.diagnosis.search.bent", lambda stage, *rest: stage)
-    assert "certain but small" in considered(bench, base, ["eccentric_encoder"], None, quiet, HASTY)[1]
+    monkeypatch.setattr("bristle.diagnosis.selection.stepwise.refit_shape", lambda fitted, *rest: fitted)
+    assert "certain but small" in propose_effect(dataset, base, ["eccentric_encoder"], None, quiet, QUICK)[1]
 
 
 @pytest.mark.parametrize(("exponent", "moves"), [(1.0, False), (1.5, True)])
 def test_a_coupling_that_the_model_has_keeps_its_usual_form(case, exponent, moves):
     made = case("backlash")
     given = {p.name.removeprefix("backlash."): p.default for p in effect("backlash").parameters} | {"exponent": exponent}
-    servo, _ = base_of(replace(made.model, effects={"backlash": given}), made.bench)
+    servo, _ = base_servo_of(replace(made.model, effects={"backlash": given}), made.dataset)
     assert ("backlash.exponent" in [f.name for f in servo.free]) is moves
     assert "backlash.play" in [f.name for f in servo.free]

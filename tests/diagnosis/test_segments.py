@@ -8,16 +8,16 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from bristle.diagnosis.candidates import RIGID, Servo
-from bristle.diagnosis.prepare import fixed_values
-from bristle.diagnosis.segments import Segments, Simulator, cut, smooth
+from bristle.diagnosis.estimation.segments import Segments, cut, smooth
+from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator
+from bristle.diagnosis.preparation import fixed_values
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
 H, WIDTH, BINS = 1e-3, 8, 50
 BASE = ("J", "a2", "coulomb.Fc")
 VALUES = {"J": 0.01, "a2": 0.02, "b": 1.0, "coulomb.Fc": 0.12}
-BENT = {f"{RIGID}.stiffness": 1200.0, f"{RIGID}.damping": 2.0}  # a bend of a quarter of a step of 16384 counts
+BENT = {f"{OWN_BRISTLES}.stiffness": 1200.0, f"{OWN_BRISTLES}.damping": 2.0}  # a bend of a quarter of a step of 16384 counts
 WITH = {  # an effect, away from the ends of its intervals
     "gravity": {"amplitude": 0.2, "phase": 0.4},
     "cogging": {"amplitude": 0.05, "phase": 0.3, "periods": 6.9, "amplitude2": 0.01, "phase2": -0.4},
@@ -64,7 +64,7 @@ def test_derivatives_are_those_of_the_simulation(segments, name):
     seen, exact, good, _ = work.run(values, starts, jacobian=True)
     assert exact is not None
     assert good.all()
-    moved = [key for key in work.names if key in values and (name != "presliding" or not key.startswith(RIGID))]
+    moved = [key for key in work.names if key in values and (name != "presliding" or not key.startswith(OWN_BRISTLES))]
     assert {*BASE, *(f"{name}.{key}" for key in WITH.get(name, {}))} <= set(moved)
     for key in moved:
         delta = 1e-6 * values[key]
@@ -202,7 +202,7 @@ def test_no_reversal_amplifies_a_start():
     rough = Segments((cut("run", 0.0, H, u, y, False, 4e-4, WIDTH, BINS),), H, WIDTH, BINS, False)
     work = simulator(rough, (), True)
     for damping in np.geomspace(0.01, 10.0, 60):
-        bent = {f"{RIGID}.stiffness": 5000.0, f"{RIGID}.damping": damping}
+        bent = {f"{OWN_BRISTLES}.stiffness": 5000.0, f"{OWN_BRISTLES}.damping": damping}
         _, exact, good, _ = work.run(VALUES | bent, rough.starts, jacobian=True)
         assert exact is not None
         assert good.all()

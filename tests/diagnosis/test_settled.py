@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bristle.diagnosis import Model, Record, bench, records_from_arrays
-from bristle.diagnosis.candidates import freedom
-from bristle.diagnosis.fit import Fit, Free, refit
-from bristle.diagnosis.prepare import base_of, bench_of
+from bristle.diagnosis import Model, Record, records_from_arrays
+from bristle.diagnosis.estimation import dataset as fitting
+from bristle.diagnosis.estimation.likelihood import Fit
+from bristle.diagnosis.estimation.optimiser import refit
+from bristle.diagnosis.estimation.simulator import Free, free_parameters
+from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -37,8 +39,8 @@ def simulated(model: Model, seed: int) -> Record:
 
 
 @pytest.fixture(scope="module")
-def asymmetric() -> tuple[bench.Bench, Fit]:
-    """A bench, and a fit with one of the two effects that hardly moves: the other one, unknown, passes as slow noise."""
+def asymmetric() -> tuple[fitting.Dataset, Fit]:
+    """A dataset, and a fit with one of the two effects that hardly moves: the other one, unknown, passes as slow noise."""
     tree: dict[str, Any] = {
         "friction": "coulomb",
         "parameters": {"J": 0.01, "a2": 0.02, "Fc": 0.12},
@@ -47,31 +49,33 @@ def asymmetric() -> tuple[bench.Bench, Fit]:
         "output": {"column": "theta", "kind": "position", "unit": "rad"},
     }
     model = Model.from_dict(tree)
-    own = bench_of(model, [simulated(model, seed) for seed in (1, 2)])
-    base = bench.settle(own, *base_of(model, own))
-    free = (*base.servo.free, *freedom("asymmetric_coulomb", {"share": 0.0}, {}))
+    own = dataset_of(model, [simulated(model, seed) for seed in (1, 2)])
+    base = dataset.fit_with_noise(own, *base_servo_of(model, own))
+    free = (*base.servo.free, *free_parameters("asymmetric_coulomb", {"share": 0.0}, {}))
     simulator = base.servo.simulator(own.segments, ("asymmetric_coulomb",))
     begin = {**base.fit.values, "asymmetric_coulomb.share": 0.0}
     return own, refit(base.problem, simulator, free, begin, base.fit.starts)
 
 
-def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[bench.Bench, Fit]) -> None:
+def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[fitting.Dataset, Fit]) -> None:
     _, first = asymmetric
-    assert first.noise.corner < bench.FAST
+    assert first.noise.corner < dataset.FAST_CORNER
     assert first.values["asymmetric_coulomb.share"] < 0.3 * TRUE["asymmetric_coulomb.share"]
 
 
-def test_settled_it_is_likelier_and_nearer_the_truth(asymmetric: tuple[bench.Bench, Fit], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settled_it_is_likelier_and_nearer_the_truth(
+    asymmetric: tuple[fitting.Dataset, Fit], monkeypatch: pytest.MonkeyPatch
+) -> None:
     own, first = asymmetric
     end = own.settled(first)
-    monkeypatch.setattr(bench, "FAST", 0.0)  # as if no noise were slow
+    monkeypatch.setattr(fitting, "FAST_CORNER", 0.0)  # as if no noise were slow
     timid = own.settled(first)
     assert end.total > timid.total + 30
     true = TRUE["asymmetric_coulomb.share"]
     assert abs(end.values["asymmetric_coulomb.share"] - true) < 0.5 * abs(timid.values["asymmetric_coulomb.share"] - true)
 
 
-def test_where_it_has_settled_nothing_moves_any_more(asymmetric: tuple[bench.Bench, Fit]) -> None:
+def test_where_it_has_settled_nothing_moves_any_more(asymmetric: tuple[fitting.Dataset, Fit]) -> None:
     own, first = asymmetric
     end = own.settled(first)
     again = own.settled(end)
@@ -89,10 +93,10 @@ def test_of_two_ends_alike_the_one_inside_its_bounds_is_taken(
         for gain, values in zip(gains, ({"J": 1e-3, "coulomb.Fc": 0.1}, {"J": 1e-2, "coulomb.Fc": 0.0}), strict=True)
     ]
     several = iter(ends)
-    monkeypatch.setattr(bench, "settle", lambda *_: next(several))
+    monkeypatch.setattr(fitting, "fit_with_noise", lambda *_: next(several))
     models = SimpleNamespace(models=[{}])
-    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: False, joint=lambda stage: models)
-    assert bench.settle_well(stand, ends[0].servo, {}) is ends[chosen]
+    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: False, balanced=lambda fitted: models)
+    assert fitting.fit_from_several_starts(stand, ends[0].servo, {}) is ends[chosen]
 
 
 @pytest.mark.parametrize("away", [True, False])
@@ -105,9 +109,9 @@ def test_a_model_that_runs_away_is_fitted_from_less_dry_friction_too(away: bool,
         found = {"J": 1e-3, "coulomb.Fc": 0.1}
         return SimpleNamespace(servo=servo, fit=SimpleNamespace(total=100.0 * len(begun), values=found))
 
-    monkeypatch.setattr(bench, "settle", settle)
+    monkeypatch.setattr(fitting, "fit_with_noise", settle)
     models = SimpleNamespace(models=[])
-    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: away, joint=lambda stage: models)
-    end = bench.settle_well(stand, SimpleNamespace(free=free), {"J": 2e-3})  # type: ignore[arg-type]  # no more than is asked of it
+    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: away, balanced=lambda fitted: models)
+    end = fitting.fit_from_several_starts(stand, SimpleNamespace(free=free), {"J": 2e-3})  # type: ignore[arg-type]  # no more than is asked of it
     assert begun == ([{"J": 2e-3}, {"J": 2e-3, "coulomb.Fc": 0.05}] if away else [{"J": 2e-3}])
     assert end.fit.total == 100.0 * len(begun)

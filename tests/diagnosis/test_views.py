@@ -7,8 +7,10 @@ from copy import copy
 import numpy as np
 import pytest
 
-from bristle.diagnosis.bench import lens_of
-from bristle.diagnosis.views import FLIPS, STRETCHES, clocks, hats, residual_map, shares, stops, wave_map
+from bristle.diagnosis.localisation.maps import residual_map, wave_map
+from bristle.diagnosis.localisation.residual_localisation import OUTLIERS, SIGN_DRAWS, shares
+from bristle.diagnosis.localisation.residual_response import response_of
+from bristle.diagnosis.localisation.views import clocks, hats, stops
 
 SHARE = 0.6
 MADE = {  # a torque that follows a view, of the motion and the time t
@@ -30,27 +32,27 @@ def plain(case):
 
 def seen_through(plain, torque=None, seed=3):
     """The shares of noise and of what a torque (samples,) does, SHARE of what is whitened; and its power in the output."""
-    bench, lens = plain.bench, copy(lens_of(plain.base, plain.bench))
-    noise = np.random.default_rng(seed).standard_normal(lens.rest.shape)
-    lens.rest = lens.freed(noise[:, :, None])[:, :, 0]
-    rough, live, expected = np.zeros(lens.rest.shape), np.flatnonzero(lens.weight > 0), 0.0
+    dataset, response = plain.dataset, copy(response_of(plain.base, plain.dataset))
+    noise = np.random.default_rng(seed).standard_normal(response.rest.shape)
+    response.rest = response.freed(noise[:, :, None])[:, :, 0]
+    rough, live, expected = np.zeros(response.rest.shape), np.flatnonzero(response.weight > 0), 0.0
     if torque is not None:
-        made = lens.free_of_model(lens.through(torque[:, None]))[:, :, 0]
-        power = [float(np.einsum("s,sn,sn->", lens.weight, each, each)) for each in (lens.rest, made)]
+        made = response.free_of_model(response.through(torque[:, None]))[:, :, 0]
+        power = [float(np.einsum("s,sn,sn->", response.weight, each, each)) for each in (response.rest, made)]
         size = np.sqrt(SHARE / (1 - SHARE) * power[0] / power[1])
-        lens.rest = lens.rest + size * made
-        shown = [np.square(lens.plain(each[live][:, :, None], live)).sum() for each in (size * made, lens.rest)]
+        response.rest = response.rest + size * made
+        shown = [np.square(response.plain(each[live][:, :, None], live)).sum() for each in (size * made, response.rest)]
         expected = shown[0] / shown[1]
-        rough = size * torque.reshape(len(rough), rough.shape[1], -1).mean(axis=2) * (lens.weight > 0)[:, None]
-    return shares(lens, bench.motion, bench.segments.h, bench.resolution, rough), expected
+        rough = size * torque.reshape(len(rough), rough.shape[1], -1).mean(axis=2) * (response.weight > 0)[:, None]
+    return shares(response, dataset.motion, dataset.segments.h, dataset.resolution, rough), expected
 
 
 @pytest.mark.parametrize("view", list(MADE))
 def test_what_follows_a_view_is_found_there(plain, view):
-    m = plain.bench.motion
+    m = plain.dataset.motion
     found, share = seen_through(plain, MADE[view](m, m.time))
     assert found[0].view == view, [(each.view, each.share) for each in found[:3]]
-    assert found[0].p == 1 / (FLIPS + 1)
+    assert found[0].p == 1 / (SIGN_DRAWS + 1)
     assert 0.6 * share < found[0].share < 1.15 * share  # what is fitted is held back a little
     if view == "tone":
         assert float(found[0].label.removesuffix(" Hz")) == pytest.approx(6.3, abs=0.1)
@@ -65,14 +67,14 @@ def test_noise_follows_nothing(plain):
 
 
 def test_stretches_that_are_far_off_are_seen_as_such(plain):
-    lens, m = copy(lens_of(plain.base, plain.bench)), plain.bench.motion
-    noise = np.random.default_rng(3).standard_normal(lens.rest.shape)
-    live = np.flatnonzero(lens.weight > 0)
+    response, m = copy(response_of(plain.base, plain.dataset)), plain.dataset.motion
+    noise = np.random.default_rng(3).standard_normal(response.rest.shape)
+    live = np.flatnonzero(response.weight > 0)
     noise[live[[2, 9, 17]]] *= 30
-    lens.rest = lens.freed(noise[:, :, None])[:, :, 0]
-    found = shares(lens, m, plain.bench.segments.h, plain.bench.resolution, np.zeros(lens.rest.shape))
+    response.rest = response.freed(noise[:, :, None])[:, :, 0]
+    found = shares(response, m, plain.dataset.segments.h, plain.dataset.resolution, np.zeros(response.rest.shape))
     found.reverse()  # they come last
-    assert found[0].view == STRETCHES
+    assert found[0].view == OUTLIERS
     assert found[0].share > 0.9
     assert found[0].p < 1e-3
     assert found[0].label.startswith(f"3 of {len(live)} stretches")
@@ -104,7 +106,7 @@ def test_a_stop_is_elastic_then_slides_and_knows_no_other_record():
 
 
 def test_a_map_shows_both_ways_of_going(plain):
-    m = plain.bench.motion
+    m = plain.dataset.motion
     torque = np.sign(m.v) * np.sin(m.theta)
     drawn = residual_map("theta x direction", m, torque, 0 * torque)
     assert drawn["lines"] == ("forward", "backward")
@@ -118,15 +120,15 @@ def test_a_map_shows_both_ways_of_going(plain):
 
 
 def through(plain, torque):
-    """Return a lens whose residual is what a torque (samples,) does."""
-    lens = copy(lens_of(plain.base, plain.bench))
-    lens.rest = lens.free_of_model(lens.through(torque[:, None]))[:, :, 0]
-    return lens
+    """Return a response whose residual is what a torque (samples,) does."""
+    response = copy(response_of(plain.base, plain.dataset))
+    response.rest = response.free_of_model(response.through(torque[:, None]))[:, :, 0]
+    return response
 
 
 @pytest.mark.parametrize("view", ["theta", "theta x direction", "tone"])
 def test_a_wave_is_drawn_over_one_period_and_as_high_as_it_is(plain, view):
-    m, period = plain.bench.motion, 0.16 if view == "tone" else 2 * np.pi / 9
+    m, period = plain.dataset.motion, 0.16 if view == "tone" else 2 * np.pi / 9
     wave = 0.06 * np.sin(2 * np.pi / period * (m.time if view == "tone" else m.theta) + 0.4)
     torque = wave * np.sign(m.v) if "x" in view else wave
     drawn = wave_map(view, m, through(plain, torque), through(plain, 0 * torque), period)
@@ -139,7 +141,7 @@ def test_a_wave_is_drawn_over_one_period_and_as_high_as_it_is(plain, view):
 
 
 def test_what_does_not_repeat_is_drawn_along_the_whole_axis(plain):
-    m = plain.bench.motion
+    m = plain.dataset.motion
     stop = through(plain, np.maximum(m.theta - np.quantile(m.theta, 0.9), 0.0))
     assert wave_map("theta", m, stop, stop, 2 * np.pi / 9) == {}
     assert wave_map("theta", m, stop, stop, None) == wave_map("history", m, stop, stop, 0.1) == {}
@@ -148,7 +150,7 @@ def test_what_does_not_repeat_is_drawn_along_the_whole_axis(plain):
 
 def test_a_tone_is_drawn_from_the_record_that_has_it(plain):
     """Each record begins at 0, so that they have no phase in common; only the second one swings."""
-    m, period = plain.bench.motion, 1 / 6.3
+    m, period = plain.dataset.motion, 1 / 6.3
     assert len(np.unique(clocks(m))) == 2
     torque = np.where(m.record == 1, 0.06 * np.sin(2 * np.pi * 6.3 * m.time + 0.4), 0.0)
     drawn = wave_map("tone", m, through(plain, torque), through(plain, 0 * torque), period)

@@ -17,12 +17,13 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bristle.cli import main as cli
-from bristle.diagnosis import Model, diagnose, fmu_model, prepare, records_from_arrays, write
-from bristle.diagnosis import bench as bench_module
+from bristle.common.errors import BristleError
+from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
+from bristle.diagnosis import preparation as prepare
+from bristle.diagnosis.estimation import dataset as fitting_module
 from bristle.diagnosis.modelfile import write_model
 from bristle.diagnosis.workflow import retried, teller
 from bristle.fmus import build
-from bristle.model.errors import BristleError
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -166,7 +167,7 @@ def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
 ) -> None:
     """The augmented model goes back in: its effect is refitted with the rest, and nothing more is missing."""
     from bristle.diagnosis import load_model
-    from bristle.diagnosis.export import augment
+    from bristle.diagnosis.report.export import augment
 
     records = records_from_arrays(model, [(f"r{seed}", *measured("gravity", seed)[:3]) for seed in (1, 2)])
     first = diagnose(model, records)
@@ -199,12 +200,12 @@ def test_a_linear_axis_has_nothing_that_turns(measured: Callable[..., Any], tree
 def test_a_model_that_runs_away_is_compared_over_shorter_stretches_if_there_are_any(
     measured: Callable[..., Any], model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench_module, "AWAY", -1.0)
+    monkeypatch.setattr(fitting_module, "DIVERGED_SHARE", -1.0)
     t, u, y, _ = measured("gravity", 1)
     for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest stretch
         records = records_from_arrays(model, [("r", t[::every], u[::every], y[::every])])
-        bench, _, lines = prepare.prepared(model, records, prepare.bench_of(model, records))
-        assert bench.segments.seconds == pytest.approx(seconds)
+        dataset, _, lines = prepare.prepare_model(model, records, prepare.dataset_of(model, records))
+        assert dataset.segments.seconds == pytest.approx(seconds)
         assert [line for line in lines if f"over {seconds:g} s at a time" in line] == lines
         assert len(lines) == (every == 1)
 

@@ -11,9 +11,9 @@ import pytest
 from fmpy.validation import validate_fmu
 from lxml import etree
 
+from bristle.common.units import parse_unit
 from bristle.fmus.build import program_of
 from bristle.fmus.interface import Interface
-from bristle.model.units import parse_unit
 from bristle.model.variables import Parameter
 from bristle.observer import methods
 from bristle.plant.friction import laws

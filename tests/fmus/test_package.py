@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from bristle.common.errors import BristleError
 from bristle.fmus import build, obtain
 from bristle.fmus.native import HEADERS, platform_folder
 from bristle.fmus.pack import write_archive
 from bristle.model.compiler import find_compiler
-from bristle.model.errors import BristleError
 
 NATIVE = [("plant", 2), ("plant", 3), ("controller", 2), ("observer", 3)]
 

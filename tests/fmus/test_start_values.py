@@ -5,9 +5,9 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
+from bristle.common.errors import BristleError
 from bristle.fmus import obtain
 from bristle.fmus.build import program_of
-from bristle.model.errors import BristleError
 from bristle.model.native import Native
 
 H = 1e-3

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bristle.common.output import plain
 from bristle.harness import metrics
 from bristle.harness.scenario import Check
-from bristle.model.output import plain
 
 TIME = np.arange(1001) * 0.01
 TRUE = np.full(1001, 4.0)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bristle.common import output
 from bristle.harness import results
-from bristle.model import output
 
 Message = Callable[[Callable[[], object]], str]
 FILES: dict[str, str | bytes] = {"a.json": "{}", "b.bin": b"\0\1"}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bristle.model.units import parse_unit
+from bristle.common.units import parse_unit
 from bristle.model.variables import Parameter
 from bristle.observer import methods
 from bristle.plant.effects import effects

@@ -17,18 +17,18 @@ PACKAGES = PROJECT["tool"]["setuptools"]["packages"]
 FOLDERS = PROJECT["tool"]["setuptools"]["package-dir"]
 TEST_DATA = {ROOT / "scenarios" / "hidden"}  # records, which stay out of the wheel
 ALLOWED = {
-    "model": {"model"},
-    "plant": {"plant", "model"},
-    "observer": {"observer", "model"},
-    "fmus": {"fmus", "plant", "observer", "model"},
-    "harness": {"harness", "fmus", "model"},
-    "diagnosis": {"diagnosis", "fmus", "plant", "model"},
-    "cli": {"cli", "harness", "diagnosis", "fmus", "plant", "observer", "model"},
+    "common": {"common"},
+    "model": {"model", "common"},
+    "plant": {"plant", "model", "common"},
+    "observer": {"observer", "model", "common"},
+    "records": {"records", "common"},
+    "fmus": {"fmus", "plant", "observer", "model", "common"},
+    "harness": {"harness", "fmus", "records", "model", "common"},
+    "diagnosis": {"diagnosis", "fmus", "plant", "records", "model", "common"},
+    "cli": {"cli", "harness", "diagnosis", "fmus", "plant", "observer", "model", "common"},
 }
 # what of the ground floor the harness may use: it knows FMUs, not equations
-HARNESS_MODEL = {
-    f"bristle.model.{name}" for name in ("units", "compiler", "errors", "cache", "table", "toml", "output", "html", "drawing")
-}
+HARNESS_MODEL = {"bristle.model.compiler"}
 
 
 def imports(path):

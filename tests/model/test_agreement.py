@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from bristle.model.errors import SimulationError
+from bristle.common.errors import SimulationError
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.python import casadi_tables, python_source, python_tables

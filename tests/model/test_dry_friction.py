@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.python import python_tables

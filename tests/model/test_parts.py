@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm as scipy_expm
 
-from bristle.model import cache, compiler
-from bristle.model.errors import BristleError
+from bristle.common import cache, compiler
+from bristle.common.errors import BristleError
+from bristle.common.units import convert, parse_unit, quantity
 from bristle.model.linear import Elimination, expm
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.system import System
-from bristle.model.units import convert, parse_unit, quantity
 from bristle.model.variables import Parameter, State, Variable
 from bristle.plant.servo import servo_program
 

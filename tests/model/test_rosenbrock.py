@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from bristle.model.errors import SimulationError
+from bristle.common.errors import SimulationError
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.system import System

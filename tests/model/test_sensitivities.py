@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.system import System

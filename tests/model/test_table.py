@@ -6,8 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from bristle.model.errors import BristleError
-from bristle.model.table import READERS, _read_rows, factor_to, read_columns, si_column
+from bristle.common.errors import BristleError
+from bristle.common.table import READERS, _read_rows, factor_to, read_columns, si_column
 
 T = np.arange(300) * 1e-3
 TABLE = {"t": T, "u": np.sin(3 * T) / 3, "theta": np.cos(T) * 1e-7}

@@ -148,8 +148,8 @@ def test_a_record_may_begin_in_motion(method, names, seconds):
 
 
 def test_marino_of_order_one_is_the_observer_of_bastin_and_gevers():
-    def first_order(shop, s):
-        p = shop.p
+    def first_order(context, s):
+        p = context.p
         gate = bastin_gevers.fast(s, 85.0 * bastin_gevers.DEGREE)
         c = marino.chain(1, SX(100.0), SX(1.0), s.period)
         x, theta = ca.if_else(p.gate > 0, p.x, s.y0), stack(p, "theta", 3)
@@ -186,8 +186,8 @@ def test_marino_of_order_two_tends_to_the_printed_observer_of_bastin_and_gevers(
         dx2 = -zero * x2 - zero**2 * q + others @ theta + v @ rate
         return [dx1, dx2, *(-zero * v + others), *rate]
 
-    def second_order(shop, s):
-        p = shop.p
+    def second_order(context, s):
+        p = context.p
         c = marino.chain(2, SX(lam), SX(zero), s.period)
         psi = marino.driven((s.y0 + s.y1) / 2, s.u, SX(1), s.period)
         m = ca.vertcat(SX(1, 3), stack(p, "m", 1, 3))
@@ -291,8 +291,8 @@ def test_drem_follows_the_solution_of_the_extended_equation():
 def test_the_regression_of_drem_is_exact_to_second_order_in_the_period():
     theta = SX(ca.DM([TRUE[name] for name in STEP2]))
 
-    def residual(shop, s):
-        p = shop.p
+    def residual(context, s):
+        p = context.p
         z, h, filters = drem.regression(p, drem.means(s, SX(TRUE["alpha2"]), SX(TRUE["b"])), s.period)
         return Update(filters | {"z": z, "residual": z - ca.dot(h, theta)}, {"b": p.residual}, {"v": p.z})
 

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from bristle.model.native import Native
 from bristle.model.system import System
 from bristle.observer import observer_program, zhang
-from bristle.observer.method import Workshop
+from bristle.observer.method import EquationContext
 
 PERIOD = 1e-3
 
@@ -32,8 +32,8 @@ def exact_filter(k0, lam):
 @pytest.mark.parametrize(("k0", "lam"), [((2.0, 1.0), 50.0), ((100.0, 1000.0), 50.0), ((3.0, 3.0, 1.0), 40.0)])
 def test_filter_constants_are_the_exact_hold(k0, lam):
     system = System("filter")
-    shop = Workshop(system, system.namespace())
-    f = zhang.make_filter(shop, ca.SX(ca.DM(list(k0))), ca.SX(lam), ca.SX(PERIOD))
+    context = EquationContext(system, system.namespace())
+    f = zhang.make_filter(context, ca.SX(ca.DM(list(k0))), ca.SX(lam), ca.SX(PERIOD))
     values = [system.expand(m) for m in (f.phi, f.m0, f.m1)]
     ours = [np.array(ca.evalf(value)) for value in values]
     for mine, reference in zip(ours, exact_filter(k0, lam), strict=True):
@@ -89,9 +89,7 @@ def test_recursive_least_squares_equals_the_batch_solution():
         v[k + 1] = v[k] * np.exp(-2 * PERIOD) + (6.5 * u[k] - 4.0) / 2 * (1 - np.exp(-2 * PERIOD))
     theta = np.cumsum(v) * PERIOD + 1e-4 * random.standard_normal(n)
     parameters = {"rls.forgetting": 1.0, "rls.p_start": 1e12, "rls.hold_off": 0.0}
-    out, _ = Native(observer_program("rls"), parameters).run(
-        PERIOD, {"u": u, "y_theta": theta}, ["alpha2_hat", "b_hat", "Fc_hat"]
-    )
+    out, _ = Native(observer_program("rls"), parameters).run(PERIOD, {"u": u, "y_theta": theta}, ["alpha2_hat", "b_hat", "Fc_hat"])
     speed = np.diff(theta) / PERIOD
     rows = np.column_stack([np.diff(speed) / PERIOD, -(speed[1:] + speed[:-1]) / 2, (u[1:-1] + u[:-2]) / 2])
     for _ in range(2):

@@ -101,9 +101,7 @@ def test_the_prediction_carries_the_covariance_by_the_slope_of_the_step():
     meaning = self_starting_ekf._servo
     stepped = kalman.sample(symbol[:3], meaning(symbol[3:]), ca.SX(2.0), ca.SX(1e-3))
     whole = ca.Function("f", [symbol], [ca.vertcat(stepped, symbol[3:])])
-    slope = np.column_stack(
-        [(np.array(whole(z + step)) - np.array(whole(z - step))).ravel() / 2e-6 for step in 1e-6 * np.eye(10)]
-    )
+    slope = np.column_stack([(np.array(whole(z + step)) - np.array(whole(z - step))).ravel() / 2e-6 for step in 1e-6 * np.eye(10)])
     moved, new = kalman.predict(meaning, ca.SX(z), ca.SX(covariance), ca.SX(2.0), ca.SX(1e-3))
     np.testing.assert_allclose(np.array(ca.evalf(moved)).ravel(), np.array(whole(z)).ravel(), rtol=1e-12)
     np.testing.assert_allclose(np.array(ca.evalf(new)), slope @ covariance @ slope.T, atol=1e-9 * np.abs(covariance).max() + 1e-11)

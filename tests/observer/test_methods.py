@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from bristle.model.errors import BristleError
+from bristle.common.errors import BristleError
 from bristle.model.native import Native
 from bristle.model.normalised import NORMALISED
 from bristle.observer import methods, observer_program

@@ -361,7 +361,6 @@ def test_load_scales_friction_at_once_and_leaves_the_motion_alone(name):
 # -- whole runs against independent solutions -----------------------------------------------------------------------------
 
 
-
 def volts(n):
     """Return held voltages with reversals, some too weak to slide."""
     k = np.arange(0, n, 20)
@@ -556,5 +555,3 @@ def test_derivatives_are_those_of_the_motion_over_every_switch(name):
         ends = [Native(program, fine | {parameter: (1 + d) * value}).run(H, {"u": u}, record)[0] for d in (1e-4, -1e-4)]
         difference = (ends[0] - ends[1]) / (2e-4 * value)
         assert np.all(np.abs(sens[:, :2, k] - difference) <= 1e-4 * np.max(np.abs(difference), axis=0)), parameter
-
-

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from bristle.common.errors import BristleError
 from bristle.model.basis import gaussian
-from bristle.model.errors import BristleError
 from bristle.model.native import Native
 from bristle.plant.friction import law, laws
 from bristle.plant.servo import NORMALISED, servo_program
@@ -139,7 +139,11 @@ def test_a_servo_without_encoder_has_no_encoder_outputs_and_moves_alike():
 J = 0.002
 OWN = {
     "modified": {
-        "modified.sigma0": 500.0, "modified.sigma1": 700.0, "modified.sigma2": 200.0, "modified.c": 125.0, "modified.tau": 0.01,
+        "modified.sigma0": 500.0,
+        "modified.sigma1": 700.0,
+        "modified.sigma2": 200.0,
+        "modified.c": 125.0,
+        "modified.tau": 0.01,
     },
     "modified_polynomial": {"modified_polynomial.sigma0": 500.0, "modified_polynomial.c": 125.0},
     "lugre": {"lugre.Fc": 0.006, "lugre.Fs": 0.01},

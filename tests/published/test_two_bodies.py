@@ -1,6 +1,6 @@
 """Two bodies rubbing on each other: the grey-box benchmark whose true values are printed, through an observer.
 
-The record is that of the study (benchmarks/study/bodies.py), the true values stand here as they are printed.
+The record is that of the study (benchmarks/study/presliding_benchmark.py), the true values stand here as they are printed.
 """
 
 import runpy
@@ -12,7 +12,7 @@ import numpy as np
 from bristle.model.native import Native
 from bristle.observer import observer_program
 
-bodies = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "study" / "bodies.py")))
+bodies = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "study" / "presliding_benchmark.py")))
 MASS, DAMPING, DISTANCE, FRICTION = 400.0, 2000.0, 1e-4, 1700.0  # kg, N.s/m, m, N
 UNIT = 1e-3  # m; the model's "rad" is a millimetre here
 

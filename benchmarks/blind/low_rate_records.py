@@ -1,0 +1,96 @@
+"""Records that are logged more slowly than the drive works: what is named then, with the input as it was found and as if held.
+
+    low_rate_records.py [--out out/slow] [--jobs 2]
+
+Controls and single effects of the blind test's generator, whose drive works at 1 kHz, of which every fourth or sixteenth sample is
+kept. The tables go to docs/diagnosis.md; cases go on where they were stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import run  # sets the threads, before numpy
+from page import put
+from score import Judged
+
+from bristle.diagnosis.selection import stepwise as search
+
+SEED, SCALE = "slow, second", 0.02
+EVERY = (4, 16)
+WAYS = ("held", "found")
+
+
+def thinned(case: Path, every: int, folder: Path) -> Path:
+    """Write every so many-th sample of a case, and return the folder."""
+    import numpy as np  # after the threads are set
+
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copy(case / "model.toml", folder)
+    for name in ("a.npz", "b.npz"):
+        with np.load(case / name) as record:
+            np.savez(folder / name, **{key: record[key][::every] for key in record.files})
+    return folder
+
+
+def diagnose_slow(case: Path, every: int, way: str, target: Path) -> None:
+    """Diagnose a thinned case; `way` held: as if nobody asked whether the input was."""
+    folder = thinned(case, every, target.parent / "records" / f"{target.stem}")
+    if way == "found":
+        run.diagnose_one(folder, target)
+        return
+    with patch.object(search, "must_be_held", lambda dataset, fitted: None):
+        run.diagnose_one(folder, target)
+
+
+def row(out: Path, answers: list[Any], every: int, way: str) -> str:
+    """Return a line of the table."""
+    judged = [Judged(a, json.loads(_target(out, a, every, way).read_text(encoding="utf-8"))) for a in answers]
+    controls, singles = ([j for j in judged if (j.group == "control") is wanted] for wanted in (True, False))
+    false, right, wrong = (sum(map(bool, each)) for each in (
+        [j.named for j in controls], [j.right for j in singles], [j.extra for j in singles],
+    ))  # fmt: skip
+    said = sum(any("between the samples" in line for line in j.result.get("findings", ())) for j in judged)
+    figures = f"{false} of {len(controls)} | {right} of {len(singles)} | {wrong} of {len(singles)} | {said} of {len(judged)}"
+    return f"| {1000 / every:.3g} Hz | {way} | {figures} |"
+
+
+def _target(out: Path, answer: Any, every: int, way: str) -> Path:
+    return out / "slow" / f"{answer['case']:05d}-{every}-{way}.json"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=run.ROOT / "out" / "slow")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    a = parser.parse_args()
+    run.generate(SEED, a.out, SCALE, a.jobs, ("controls", "single"))
+    answers = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((a.out / "answers").glob("*.json"))]
+    calls = [
+        (a.out / "cases" / f"{each['case']:05d}", every, way, _target(a.out, each, every, way))
+        for each, every, way in itertools.product(answers, EVERY, WAYS)
+    ]
+    run.go_on(diagnose_slow, calls, a.jobs, "diagnose")
+    rows = "\n".join(row(a.out, answers, every, way) for every in EVERY for way in WAYS)
+    put("slow records", "benchmarks/blind/low_rate_records.py", f"""## Records that are logged slowly
+
+`python benchmarks/blind/low_rate_records.py`: controls and single effects of gap ratio 2 and more, half in another form, from
+a drive that works at 1 kHz, of which every fourth or sixteenth sample is kept. `held`: the input taken as held between those, as it
+was not; `found`: as rule 1 of diagnosis_rules.md takes it. (A delay of less than half a sample is then part of what is found.)
+
+| logged at | input | controls named | named right | with a wrong name | said not to be held |
+|---|---|---|---|---|---|
+{rows}
+""")  # fmt: skip
+    print(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What every room uses: errors, units, tables of files, TOML, output folders, HTML, drawing, cache."""

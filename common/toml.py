@@ -1,0 +1,96 @@
+"""TOML files: read, checked against a schema, written; every mistake is one line with file, key, value and what to do."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from bristle.common.errors import BristleError, suggest
+
+
+class Section(BaseModel):
+    """A table of the file; unknown keys are mistakes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
+    """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario file")."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        return text, tomllib.loads(text)
+    except OSError as error:
+        raise BristleError(f"{path}: {error.strerror}; check the path of the {what}") from None
+    except UnicodeDecodeError:
+        raise BristleError(f"{path}: not UTF-8 text; give a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise BristleError(f"{path}: not valid TOML: {error}; mend that place") from None
+
+
+def _shown(value: object) -> str:
+    text = f'"{value}"' if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def mistake(path: Path | str, key: str, value: object, message: str) -> BristleError:
+    """Return the one-line error for a key of a file; value None stands for a key that is not there."""
+    where = f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
+    return BristleError(" ".join(f"{where}: {message}".split()))
+
+
+def _dotted(location: Sequence[int | str]) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+
+
+def _section_at(schema: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
+    """Return the section that a location of an error lies in."""
+    for part in location:
+        if isinstance(part, int):
+            continue
+        if part not in schema.model_fields:
+            return None
+        found = [t for t in _types(schema.model_fields[part].annotation) if isinstance(t, type) and issubclass(t, BaseModel)]
+        if not found:
+            return None
+        schema = found[0]
+    return schema
+
+
+def _types(annotation: Any) -> list[Any]:
+    inner = get_args(annotation)
+    return [annotation] if not inner else [t for arg in inner for t in _types(arg)]
+
+
+def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationError) -> BristleError:
+    """Turn what pydantic found first into one line."""
+    found = error.errors()
+    # an unknown key explains a missing one better than the other way round
+    first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+    kind, location, value = first["type"], [p for p in first["loc"] if not str(p).startswith("function-")], first["input"]
+    key, context = _dotted(location), first.get("ctx", {})
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    if kind == "extra_forbidden":
+        section = _section_at(schema, location[:-1])
+        known = list(section.model_fields) if section else []
+        return mistake(path, key, value, f"unknown key{suggest(str(location[-1]), known)}; allowed here: {', '.join(known)}{more}")
+    if kind == "missing":
+        return mistake(path, key, None, f"missing; add it{more}")
+    if kind == "value_error":
+        shown = value if key and not isinstance(value, (dict, Section)) else None
+        return mistake(path, key, shown, f"{context.get('error')}{more}")
+    if kind == "literal_error":
+        choices = str(context.get("expected")).replace(" or ", ", ")
+        return mistake(path, key, value, f"not a choice; choose one of: {choices}{more}")
+    hint = {
+        "greater_than_equal": f"must be at least {context.get('ge')}",
+        "finite_number": "must be a finite number",
+        "too_short": f"needs at least {context.get('min_length')} entry",
+        "model_type": "must be a table; write it as [section]",
+        "dict_type": "must be a table; write it as [section]",
+        "string_type": "must be text in quotes",
+    }.get(kind, first["msg"].replace("Input should be", "must be"))
+    return mistake(path, key, value, f"{hint}; change the value{more}")

@@ -1,0 +1,1 @@
+"""What the records excite, and whether model and data speak of the same thing."""

@@ -1,0 +1,259 @@
+"""After the search: what was found, as a `Diagnosis`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from bristle.diagnosis.checks.excitation import VELOCITY_CAVEAT, excitation
+from bristle.diagnosis.estimation.dataset import Dataset, FittedModel
+from bristle.diagnosis.estimation.likelihood import Fit, errors, evaluate, mean_square, squares
+from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
+from bristle.diagnosis.estimation.uncertainty import estimates
+from bristle.diagnosis.localisation.maps import residual_map, wave_map
+from bristle.diagnosis.localisation.residual_localisation import LEAST_VIEW_P, views_of
+from bristle.diagnosis.localisation.residual_response import response_of
+from bristle.diagnosis.localisation.unexplained import unexplained
+from bristle.diagnosis.localisation.views import Share
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.report import result as answer
+from bristle.diagnosis.report import text as story
+from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.criterion import SearchRound, group
+from bristle.diagnosis.selection.effect_size import fall
+from bristle.plant.effects import effect as find_effect
+from bristle.records.record import Record
+
+MAPPED_VIEWS = 6  # views whose residual is drawn
+KNOWN_HALF_WIDTH = (
+    0.3  # half an interval relative to the value, which of one parameter at least must be less (of 556 records in which
+)
+# nothing was named it was 0.11 or less, uniform motion included; where the output is noise 0.45 and more)
+UNEXPLAINED_SHARE = 0.5  # of what is left: a view that shows more says that this is no noise, flagged or not
+VIEW_P = 0.05  # p up to which a view is listed ahead of the others
+
+
+def conclude(
+    model: Model,
+    records: Sequence[Record],
+    dataset: Dataset,
+    base: FittedModel,
+    final: FittedModel,
+    rounds: list[SearchRound],
+    begun: float,
+) -> answer.Diagnosis:
+    """Return the answer, parameters and intervals refitted to all segments; `begun` is when the work began [s]."""
+    whole, plain = _whole(dataset, final), estimates(model, _whole(dataset, base))
+    where, after = views_before_and_after(dataset, base, final)
+    last = rounds[-1]
+    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
+    named = final.servo.effects[len(model.effects) :]
+    gap = gap_between(model, dataset, base, final)
+    left = unexplained(
+        after, final.fit.values, named, gap, dataset.turn, fall_between(dataset, base, final), dataset.odd(final.fit),
+        dataset.disturbance(final.fit),
+    )  # fmt: skip
+    gap = known_floor(gap, left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE))
+    undecided = undecided_names(last)
+    mute = () if named or undecided else unidentified_parameters(plain)
+    verdict = "named" if named else unnamed(last, dataset.narrow, left, mute)
+    intervals = estimates(model, whole, final.problem.only(dataset.segments.judged))
+    of = {v.best.name: v for v in rounds if v.best and v.named}
+    effects = tuple(
+        answer.Named(
+            name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
+            v.gain, v.null.p(name, v.gain),
+        )
+        for name, v in ((name, of[name]) for name in named)
+    )  # fmt: skip
+    own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
+    choices = {c.name: estimates(model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit}
+    told = {*named, *undecided, *(name for tie in ties for name in tie)}
+    added = last.best.name if last.best and last.named else ""
+    adrift = dataset.segments.velocity and len(records) > 1
+    placed = any(find_effect(name).placed for name in (*named, *undecided))
+    beginnings = [VELOCITY_CAVEAT] if adrift and (placed or left.flag) else []
+    missed = story.undetected(last.candidates, last.null, last.base, told, model, added, adrift)
+    said = partial(story.on_axis, linear=dataset.linear, input_kind=model.input_kind)
+    return answer.Diagnosis(
+        verdict=verdict,
+        statement=tuple(map(said, story.statement(verdict, effects, ties, gap, left, intervals, mute))),
+        effects=effects,
+        ties=tuple(ties),
+        experiment=said(story.experiment(ties, left, dataset.narrow, bool(named))),
+        where=where,
+        remains=left,
+        gap=gap,
+        excitation=excitation(model, records),
+        findings=(*(f for r in records for f in r.findings), *bound_lines(model, plain, intervals), *beginnings),
+        base=plain,
+        parameters=own,
+        rounds=tuple(_round(v) for v in rounds),
+        undetected={k: said(v) for k, v in missed.items()},
+        traces=_traces(dataset, base.fit, final.fit),
+        model=model,
+        seconds=time.perf_counter() - begun,
+        choices={n: {k.removeprefix(f"{n}."): v for k, v in e.items() if k.startswith(f"{n}.")} for n, e in choices.items()},
+        choice_parameters={n: {k: v for k, v in e.items() if not k.startswith(f"{n}.")} for n, e in choices.items()},
+    )
+
+
+def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mapping[str, answer.Estimate]) -> list[str]:
+    """Return a line on parameters of the plain model that end at a bound, and on whether they still do with what was found."""
+    lines = []
+    for name, e in plain.items():
+        if e.at_bound:
+            low, high = model.bounds.get(name, (-math.inf, math.inf))
+            unit = "" if e.unit == "1" else f" {e.unit}"
+            later = "" if name not in whole or whole[name].at_bound else "; with what was found it does not"
+            advice = "none is seen in these records" if e.value == 0.0 == low else "widen it if it may be wrong"
+            where = f"its bound {e.value:.4g}{unit} of [{low:.4g}, {high:.4g}]"
+            lines.append(f"the base refit of {name} ends at {where}{later}: {advice}")
+    return lines
+
+
+def unidentified_parameters(plain: Mapping[str, answer.Estimate]) -> tuple[str, ...]:
+    """Return the parameters of the plain model if the records tell none of them to within `KNOWN_HALF_WIDTH`.
+
+    The output does not follow the input then, and that no effect helps says nothing.
+    """
+    told = any(
+        e.ci95 is not None and not e.at_bound and e.ci95[1] - e.ci95[0] < 2 * KNOWN_HALF_WIDTH * abs(e.value)
+        for e in plain.values()
+    )
+    return () if told else tuple(plain)
+
+
+def undecided_names(verdict: SearchRound) -> tuple[str, ...]:
+    """Return the members of a tie that was not resolved, or what was withdrawn."""
+    open_ = verdict.best and not verdict.named and (verdict.ties or verdict.withdrawn)
+    return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
+
+
+def choices_of(rounds: Sequence[SearchRound], undecided: Sequence[str], named: Sequence[str]) -> list[Candidate]:
+    """Return what may be chosen: the members of an open tie, or those that the last name stands for, if there is none."""
+    if undecided:
+        return [c for c in rounds[-1].candidates if c.name in undecided]
+    v = next((v for v in reversed(rounds) if v.named), None)
+    if v is None or v.best is None or v.best.name not in named:
+        return []
+    return [c for c in v.candidates if c.name in v.ties]
+
+
+def unnamed(last: SearchRound, narrow: str, left: answer.Remains, mute: Sequence[str] = ()) -> str:
+    """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses.
+
+    `mute` are the model's parameters if the records tell none of them.
+    """
+    classes = {group(name) for name in undecided_names(last)}
+    if not classes:
+        return "not_identifiable" if mute or (narrow and (left.flag or last.best)) else "none"
+    many = story.MOST_TIED_UNIFORM if narrow else story.MOST_TIED
+    return "tie" if len(classes) <= many and not last.withdrawn else "not_identifiable"
+
+
+def _traces(dataset: Dataset, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
+    """Return what was measured and simulated, an average a bin, record by record, start states at their best as in the gap."""
+    s, first, traces = dataset.segments, 0, []
+    whole = np.ones(len(dataset.held), dtype=bool)
+    left = [np.where(fit.good[:, None], errors(fit, whole), np.nan) for fit in (before, after)]
+    for piece in s.pieces:
+        n = len(piece.seen)
+        part = slice(first, first + n)
+        time_ = piece.time + s.h * (s.width * np.arange(n * s.bins, dtype=np.float64) + (s.width - 1) / 2)
+        held = np.repeat(dataset.held[part], s.bins)
+        old, new = ((piece.seen - error[part]).ravel() for error in left)
+        u = piece.u.reshape(-1, s.width).mean(axis=1)
+        traces.append(answer.Trace(piece.name, time_, u, piece.seen.ravel(), old, new, held))
+        first += n
+    return tuple(traces)
+
+
+def _whole(dataset: Dataset, fitted: FittedModel) -> Fit:
+    """Return the servo fitted to all segments, those kept from the search included."""
+    problem = fitted.problem.only(dataset.segments.judged)
+    return refit_nonsmooth(resume(problem, fitted.fit), lambda fit: problem, fitted.servo.effects)
+
+
+def views_before_and_after(dataset: Dataset, base: FittedModel, final: FittedModel) -> tuple[tuple[answer.View, ...], list[Share]]:
+    """Return the views before and after, both as the final noise sees them, with maps; and the shares after."""
+    plain = evaluate(final.problem, base.fit.simulator, base.fit.free, base.fit.values, base.fit.starts)
+    models = (FittedModel(base.servo, final.problem, plain), final)
+    found, torques = [], []
+    for fitted in models:
+        seen, torque = views_of(fitted, dataset)
+        found.append([_along_axis(dataset, share) for share in seen])
+        torques.append(torque)
+    before, after = found
+    responses = response_of(base, dataset), response_of(final, dataset)  # each as its own noise sees it
+    before = sorted(before, key=lambda share: share.p > VIEW_P)  # what chance gives comes last, whatever its share
+    table = {share.view: share for share in after}
+    views: list[answer.View] = []
+    maps = 0
+    for share in before:
+        late = table[share.view]
+        drawn = {}
+        if maps < MAPPED_VIEWS:
+            drawn = wave_map(share.view, dataset.motion, *responses, share.period(dataset.turn))
+            drawn = drawn or residual_map(share.view, dataset.motion, torques[0], torques[1])
+        maps += bool(drawn)
+        views.append(
+            answer.View(
+                share.view, share.share, max(share.p, LEAST_VIEW_P), late.share, max(late.p, LEAST_VIEW_P), share.label, **drawn
+            )
+        )
+    return tuple(views), after
+
+
+def _along_axis(dataset: Dataset, share: Share) -> Share:
+    """Return a share with its label as it is on a linear axis, where the range that was travelled stands for the turn."""
+    return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if dataset.linear else share
+
+
+def gap_between(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> answer.Gap:
+    """Return mean squares over the segments that were kept from the search, and what the noise alone would give."""
+    before, after = mean_square(base.fit, dataset.held), mean_square(final.fit, dataset.held)
+    noise = final.problem.noise
+    cover = np.linalg.inv(noise.whiten)
+    covariance_ = cover @ cover.T
+    live = dataset.held & final.fit.good
+    floor = []
+    for columns in final.fit.raw_by_start[live]:
+        q, r = np.linalg.qr(columns)
+        q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(r).max(), 1e-300)]
+        floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
+    alone = float(np.mean(floor)) / dataset.segments.bins
+    return answer.Gap(before, after, min(alone, after), model.output_unit)
+
+
+def known_floor(gap: answer.Gap, mixed: bool) -> answer.Gap:
+    """Return a gap without the noise floor where that is not known.
+
+    What is unexplained (`mixed`: so much of what is left) is taken for noise, and then the noise that would do is no floor; nor is
+    it where the error that was reached after is above the one before.
+    """
+    unknown = gap.after > gap.before or (mixed and gap.noise_floor is not None and gap.noise_floor >= gap.after)
+    return replace(gap, noise_floor=None) if unknown else gap
+
+
+def fall_between(dataset: Dataset, base: FittedModel, final: FittedModel) -> float:
+    """Return the factor by which the error fell over the segments that were kept from the search."""
+    return fall(squares(base.fit, dataset.held), squares(final.fit, dataset.held))
+
+
+def _round(v: SearchRound) -> answer.Round:
+    """Return a round as it is reported."""
+    bars = []
+    for c in v.candidates:
+        gain = c.fit.total - v.base if c.fit else math.nan
+        tested = () if c.test is None else (c.test.fall, c.test.kept, *c.test.behind)
+        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused, *tested))
+    bars.sort(key=lambda bar: math.inf if math.isnan(bar.gain) else -bar.gain)
+    added = v.best.name if v.best and v.named else None
+    top = v.best.name if v.best else bars[0].name if bars else ""
+    return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size, v.finer)

@@ -1,0 +1,1 @@
+"""A servo fitted to segments of records: simulation, noise, likelihood, optimiser, uncertainty."""

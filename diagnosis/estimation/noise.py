@@ -1,0 +1,87 @@
+"""What a residual looks like when nothing is missing: a coloured torque through the servo, and the sensor's own noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+CORNERS = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz: of the disturbance torque; tried in turn
+RATIOS = np.logspace(-4, 8, 61)  # of torque to sensor noise, in units of the sensor's variance
+
+
+def response(inertia: float, damping: float, h: float, width: int, bins: int, velocity: bool) -> Array:
+    """Return the averages (bins) that a torque of 1 N.m held over one sample (width * bins columns) gives.
+
+    Exact for J v' = T - d v held over a sample. Source: astrom2008 (step response of a first-order lag).
+    """
+    n = width * bins
+    t = h * np.arange(n + 1)
+    rate = max(damping / inertia, 1e-9)
+    lag = -np.expm1(-rate * t) / rate  # velocity after a unit acceleration of duration t
+    kernel = lag if velocity else (t - lag) / rate
+    step = np.diff(kernel, prepend=0.0) / inertia  # response after k samples to a pulse one sample long
+    delay = np.arange(n)[:, None] - np.arange(n)[None, :]
+    table = np.where(delay > 0, step[np.clip(delay, 0, n)], 0.0)
+    return np.asarray(table.reshape(bins, width, n).mean(axis=1))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Covariance of a segment's averages, as the factor that whitens them; what it was made of.
+
+    `whiten` (bins, bins): multiplies averages from the left; `torque` [N.m] and `corner` [Hz] describe the
+    disturbance, `sensor` the independent error of an average [unit of the output].
+    """
+
+    whiten: Array
+    log_det: float
+    torque: float
+    corner: float
+    sensor: float
+
+
+def colour(pulses: Array, corner: float, h: float) -> Array:
+    """Return the covariance of averages under a first-order noise torque of variance 1 with a corner frequency [Hz]."""
+    return np.asarray(pulses @ _memory(pulses.shape[1], 2 * np.pi * corner * h) @ pulses.T)
+
+
+@lru_cache(maxsize=16)
+def _memory(n: int, decay: float) -> Array:
+    """Return the correlation of n samples of a first-order noise."""
+    return np.asarray(np.exp(-decay * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))))
+
+
+def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: float, slowest: float = 0.0) -> Noise:
+    """Return the most likely noise of residuals (segments, bins), given the weight of each segment.
+
+    The start states of segments are unknown, so that constants and ramps tell nothing: likelihood of what is left.
+    Parameters: pulses as of `response`; least: standard deviation of an average below which the sensor cannot be; slowest:
+    corner frequency [Hz] below which that of the disturbance cannot be.
+
+    Source: patterson1971 (restricted maximum likelihood).
+    """
+    bins = residual.shape[1]
+    ramp = np.column_stack([np.ones(bins), np.linspace(-1, 1, bins)])
+    free = np.linalg.svd(ramp, full_matrices=True)[0][:, 2:]
+    seen = free.T @ residual.T
+    sample = (seen * weights) @ seen.T / weights.sum()
+    best = (np.inf, 0.0, 0.0, CORNERS[0])
+    for corner in (c for c in CORNERS if c >= slowest):
+        full = colour(pulses, corner, h)
+        unit = np.trace(full) / bins
+        values, vectors = np.linalg.eigh(free.T @ full @ free / unit)
+        power = np.einsum("ij,ik,kj->j", vectors, sample, vectors)
+        spectrum = 1 + RATIOS[:, None] * np.maximum(values, 0.0)
+        level = np.maximum((power / spectrum).mean(axis=1), least**2)
+        cost = np.log(level[:, None] * spectrum).sum(axis=1) + (power / (level[:, None] * spectrum)).sum(axis=1)
+        k = int(np.argmin(cost))
+        if cost[k] < best[0]:
+            best = (float(cost[k]), float(level[k]), float(level[k] * RATIOS[k] / unit), corner)
+    _, sensor, torque, corner = best
+    covariance = sensor * np.eye(bins) + torque * colour(pulses, corner, h)
+    factor = np.linalg.cholesky(covariance)
+    return Noise(np.linalg.inv(factor), 2 * float(np.log(np.diag(factor)).sum()), torque**0.5, corner, sensor**0.5)

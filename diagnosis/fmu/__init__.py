@@ -1,0 +1,1 @@
+"""A plant FMU as the model."""

@@ -1,0 +1,60 @@
+"""A plant FMU as the model of a diagnosis: what its modelDescription says, where no model file is given beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bristle.common.errors import BristleError
+from bristle.diagnosis.modelfile import Model
+from bristle.fmus.host import Fmu
+from bristle.plant.effects import effects
+from bristle.plant.friction import laws
+
+INPUT_KINDS = ("Real", "Float64", "Enumeration")  # of a start value that is a number
+ADVICE = "give a MODEL.toml beside --fmu"
+
+
+def fmu_model(path: Path) -> Model:
+    """Return the model that an FMU with the variables of ServoPlant describes, at its start values.
+
+    Records have the columns t [s], u [V] and theta [rad], or v [rad/s] if the FMU has no theta.
+
+    Raises
+    ------
+    BristleError
+        If the FMU cannot be read or does not say enough.
+    """
+    starts, outputs, chosen = _read(path)
+    for name in ("J", "a2", "b"):
+        if name not in starts:
+            raise BristleError(f"FMU {path}: no parameter '{name}' to scale by; {ADVICE}")
+    if not {"theta", "v"} & outputs:
+        raise BristleError(f"FMU {path}: no output 'theta' or 'v'; {ADVICE}")
+    law = chosen or next((name for name in laws() if any(start.startswith(f"{name}.") for start in starts)), "viscous")
+    found: dict[str, dict[str, float]] = {}
+    for effect in effects():
+        own = {name.removeprefix(f"{effect}."): x for name, x in starts.items() if name.startswith(f"{effect}.")}
+        found |= {effect: own} if own else {}
+    parameters = {name: x for name, x in starts.items() if name in ("J", "a2", "b") or name.startswith(f"{law}.")}
+    output: dict[str, Any] = {"column": "theta", "kind": "position", "unit": "rad"}
+    if "theta" not in outputs:
+        output = {"column": "v", "kind": "velocity", "unit": "rad/s"}
+    tree = {
+        "friction": law, "parameters": parameters, "effects": found, "output": output,
+        "time": {"column": "t", "unit": "s"}, "input": {"column": "u", "kind": "voltage", "unit": "V"},
+    }  # fmt: skip
+    return Model.from_dict(tree, f"FMU {path}")
+
+
+def _read(path: Path) -> tuple[dict[str, float], set[str], str | None]:
+    """Return the start values of the parameters, the names of the outputs, and the law that is chosen where there are several.
+
+    The law goes by the name the FMU gives it: an FMU of another release may number the laws otherwise.
+    """
+    variables = Fmu(path).description.modelVariables
+    parameters = [v for v in variables if v.causality == "parameter" and v.start is not None and v.type in INPUT_KINDS]
+    selectors = [v for v in parameters if v.name == "law" and v.declaredType is not None]
+    chosen = [item.name for v in selectors for item in v.declaredType.items if int(item.value) == int(v.start)]
+    starts = {v.name: float(v.start) for v in parameters}
+    return starts, {v.name for v in variables if v.causality == "output"}, next(iter(chosen), None)

@@ -1,0 +1,1 @@
+"""Where the residual is, and whether something is left unexplained."""

@@ -1,0 +1,187 @@
+"""Where the residual is: the share of it that each view of the motion predicts, with its significance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom
+from scipy.stats import f as f_ratio
+
+from bristle.diagnosis.estimation.dataset import Dataset, FittedModel
+from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM
+from bristle.diagnosis.estimation.segments import Motion
+from bristle.diagnosis.localisation.residual_response import ResidualResponse, chance, response_of
+from bristle.diagnosis.localisation.views import Share, _waves, bases, clocks
+
+Array = NDArray[np.float64]
+
+FOLDS = 5
+SIGN_DRAWS, ENOUGH_DRAWS = (
+    999,
+    20,
+)  # random signs of segments, for the significance; draws as high after which a line is an ordinary one
+LEAST_VIEW_P = 1 / (1 + SIGN_DRAWS)  # no smaller p is told
+VIEW_RIDGE = 1e-3  # of a view's own power
+TONE_BAND = (0.2, 45.0)  # Hz
+SPECTRUM_PADDING = 4  # times the length: so fine is the grid of their frequencies
+MOST_PERIODS = 60  # in a turn
+SENSOR_VIEWS = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
+OUTLIER_MISFIT = 5.0  # times the usual squared error, whitened
+OUTLIERS = "some stretches"
+
+
+def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """Return frequencies (k,) [Hz] within `TONE_BAND` and what gives a torque's amplitudes (k,) there for signs (segments,).
+
+    Parameters: time and rough torque (segments, bins), the clock of each segment. What has another clock has another phase:
+    its power is added.
+    """
+    step = float(np.median(np.diff(time, axis=1)))
+    which, row = np.unique(clock, return_inverse=True)
+    first = np.array([time[row == k].min() for k in range(len(which))])
+    place = np.rint((time - first[row, None]) / step).astype(int)
+    length = int(place.max()) + 1
+    frequency = np.fft.rfftfreq(SPECTRUM_PADDING * length, step)
+    inside = (frequency >= TONE_BAND[0]) & (frequency <= TONE_BAND[1])
+
+    def amplitudes(signs: Array) -> Array:
+        even = np.zeros((len(which), length))
+        even[row[:, None], place] = signs[:, None] * rough
+        lines = np.abs(np.fft.rfft(even, SPECTRUM_PADDING * length, axis=1)[:, inside])
+        return np.asarray(np.sqrt(np.square(lines).sum(axis=0)))
+
+    return np.asarray(frequency[inside]), amplitudes
+
+
+def _searched(response: ResidualResponse, m: Motion, rough: Array) -> dict[str, tuple[Array, dict[str, Any]]]:
+    """Return waves whose frequency is chosen by the residual: in time and along the position, and what a `Share` says of them."""
+    middle = _middle(response, rough)
+    r, theta = rough.ravel(), m.theta[middle]
+    clock = clocks(m)
+    frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), clock[middle].reshape(rough.shape)[:, 0], rough)
+    tone = float(frequency[int(np.argmax(amplitudes(np.ones(len(rough)))))])
+    own = [(clock == k)[:, None] * _waves(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)]
+    found: dict[str, tuple[Array, dict[str, Any]]] = {
+        "tone": (np.column_stack(own), {"label": f"{tone:.3g} Hz", "frequency": tone})
+    }
+    turns = np.arange(1.0, MOST_PERIODS + 1)
+    spin = np.exp(-1j * np.outer(turns, theta))
+    one, way = np.ones_like(m.u), np.sign(m.v)
+    for view, factors in (  # inertia that varies with position shows in both acceleration and speed squared
+        ("theta", (one,)), ("theta x direction", (way,)), ("theta x u", (m.u,)), ("theta x a", (m.a, m.v**2)),
+    ):  # fmt: skip
+        power = np.sum([np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors], axis=0)
+        periods = float(turns[int(np.argmax(power))])
+        waves = [f[:, None] * _waves(periods * m.theta, 1) for f in factors]
+        found[view] = np.column_stack(waves), {"label": f"{periods:.3g} in a turn", "periods": periods}
+    return found
+
+
+def _middle(response: ResidualResponse, rough: Array) -> NDArray[np.int_]:
+    """Return the samples in the middle of each bin."""
+    skip = response.shape[1] // rough.shape[1]
+    return np.arange(rough.size * skip).reshape(-1, skip)[:, skip // 2]
+
+
+def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: Array) -> list[Share]:
+    """Return the views with their shares, the strongest first; stretches that stand out come last.
+
+    A view's function is fitted on four fifths of the segments, and its p is how often the strongest of all views
+    predicts the rest as well when segments get random signs. A tone must stand out as well among the highest lines of such
+    spectra, for its frequency was chosen. The share is the power that a view has in the output.
+
+    Source: liu1988 (wild bootstrap).
+    """
+    live = np.flatnonzero(response.weight > 0)
+    rng = np.random.default_rng(2)
+    signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(SIGN_DRAWS, len(live)))])
+    told, tables = {}, bases(m, h, step)
+    for view, (waves, facts) in _searched(response, m, rough).items():
+        tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
+        told[view] = facts
+    found = {view: _predicted(response, basis, live, signs) for view, basis in tables.items()}
+    strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
+    ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
+    middle = _middle(response, rough).reshape(rough.shape)[live]
+    highest = line_p(m.time[middle], clocks(m)[middle[:, 0]], rough[live], signs)
+    ps["tone"] = max(ps["tone"][0], highest), max(ps["tone"][1], highest)
+    whole = float(np.square(response.plain(response.rest[live][:, :, None], live)).mean())
+    result = []
+    for view, (_, power) in found.items():
+        result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], alone=ps[view][1], **told.get(view, {})))
+    return [*sorted(result, key=lambda each: -each.share), _outlier_share(response, m, live)]
+
+
+def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> float:
+    """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
+
+    Each draw finds its own frequency, as the data did. Where that is often it is known early, and the other draws are
+    saved. Parameters as of `spectrum`; signs (draws, segments).
+
+    Source: besag1991 (sequential Monte Carlo p-values).
+    """
+    _, amplitudes = spectrum(time, clock, rough)
+    seen, higher = amplitudes(signs[0]).max(), 0
+    for drawn, each in enumerate(signs[1:], 1):
+        higher += bool(amplitudes(each).max() >= seen)
+        if higher == ENOUGH_DRAWS:
+            return higher / drawn
+    return (1 + higher) / len(signs)
+
+
+def _outlier_share(response: ResidualResponse, m: Motion, live: NDArray[np.int_]) -> Share:
+    """Return the share of the squared error in stretches that are off by far more than the rest.
+
+    Its p is the chance of so many of them, if the misfits of segments have the heavy tail that the fit allows them.
+    """
+    misfit = np.square(response.rest[live]).mean(axis=1)
+    far = misfit > OUTLIER_MISFIT
+    power = np.square(response.plain(response.rest[live][:, :, None], live)).mean(axis=(1, 2))
+    p = float(
+        binom.sf(np.count_nonzero(far) - 1, len(live), f_ratio.sf(OUTLIER_MISFIT, response.rest.shape[1] - 2, T_DEGREES_OF_FREEDOM))
+    )
+    worst = m.time.reshape(response.shape)[live[int(np.argmax(misfit))], 0]
+    label = f"{np.count_nonzero(far)} of {len(live)} stretches, the worst at {worst:.3g} s"
+    return Share(OUTLIERS, float(power[far].sum() / power.sum()), p, label)
+
+
+def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_], signs: Array) -> tuple[Array, float]:
+    """Return for each set of signs by how much the weighted square of held-out segments falls, and a power.
+
+    The power is the mean square [output squared] of what the view's function does to the output, less what chance adds.
+    """
+    columns = response.free_of_model(response.through(basis))[live]
+    weight, rest = response.weight[live], response.rest[live]
+    grams = np.matmul(columns.transpose(0, 2, 1), columns) * weight[:, None, None]
+    slopes = np.matmul(columns.transpose(0, 2, 1), rest[:, :, None])[:, :, 0] * weight[:, None]
+    total = grams.sum(axis=0)
+    k = len(total)
+    ridge = VIEW_RIDGE * np.trace(total) / k * np.eye(k) + 1e-300 * np.eye(k)
+    fold, gain = np.arange(len(live)) % FOLDS, np.zeros(len(signs))
+    for f in range(FOLDS):
+        test = fold == f
+        held = grams[test].sum(axis=0)
+        learned = np.linalg.solve(total - held + ridge, ((signs[:, ~test]) @ slopes[~test]).T).T
+        seen = signs[:, test] @ slopes[test]
+        gain += 2 * np.einsum("rk,rk->r", learned, seen) - np.einsum("rk,kl,rl->r", learned, held, learned, optimize=True)
+    inverse = np.linalg.inv(total + ridge)
+    outer = inverse @ slopes.sum(axis=0)
+    chance = inverse @ (slopes.T @ slopes) @ inverse
+    seen = response.plain(columns, live).reshape(-1, k)
+    gram = seen.T @ seen / len(seen)
+    return gain, float(outer @ gram @ outer - np.sum(chance * gram))
+
+
+def views_of(fitted: FittedModel, dataset: Dataset) -> tuple[list[Share], Array]:
+    """Return what each view predicts of a fitted servo's residual, and the torque behind it (samples,) [N.m]."""
+    response = response_of(fitted, dataset)
+    torque = response.torque() * (fitted.fit.weight > 0)[:, None]
+    rough = torque.reshape(len(torque), dataset.segments.bins, -1).mean(axis=2)
+    factor = 2 * math.pi / dataset.turn  # what repeats, repeats along what a motion begins anew after
+    around = replace(dataset.motion, theta=factor * dataset.motion.theta)
+    return shares(response, around, dataset.segments.h, factor * dataset.resolution, rough), torque.ravel()

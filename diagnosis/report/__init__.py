@@ -1,0 +1,1 @@
+"""The answer: result, sentences, figures, page, files."""

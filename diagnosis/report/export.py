@@ -1,0 +1,286 @@
+"""What a diagnosis leaves behind: numbers, a report, the augmented model and its FMUs; all of it or nothing."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from bristle.common.errors import BristleError
+from bristle.common.output import check_writable, complain, to_json, write_file
+from bristle.diagnosis.modelfile import Model, model_text
+from bristle.diagnosis.report.correction import correction_program, refusal
+from bristle.diagnosis.report.figures import draw
+from bristle.diagnosis.report.html import render
+from bristle.diagnosis.report.result import Diagnosis, Estimate
+from bristle.fmus.build import build, program_files
+from bristle.fmus.pack import write_archive
+from bristle.plant.effects import effect as find_effect
+from bristle.plant.servo import COUNTS
+
+WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu")
+
+
+class IncompleteError(BristleError):
+    """Something could not be made; all the rest was written."""
+
+
+@dataclass(frozen=True)
+class Augmented:
+    """A model with what was found: the law, the effects, and the start values [SI] of the servo that they make.
+
+    `model` is the same as a model file.
+    """
+
+    model: Model
+    effects: tuple[str, ...]
+    added: tuple[str, ...]
+    parameters: dict[str, float]
+
+    @property
+    def law(self) -> str:
+        """The friction law."""
+        return self.model.friction
+
+
+def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None:
+    """Return the model with what was found, or None where there is nothing to add it to or nothing that may be added.
+
+    Parameters
+    ----------
+    choose : str, optional
+        Member of a tie to take as if it had been named.
+
+    Raises
+    ------
+    BristleError
+        If `choose` is not a member of a tie whose parameters are known.
+    """
+    if choose is not None:
+        _check_choice(diagnosis, choose)
+    elif diagnosis.verdict not in ("named", "none"):
+        return None
+    if diagnosis.model is None or diagnosis.proposals:
+        return None
+    found = {effect.name: effect.parameters for effect in diagnosis.effects}
+    own = diagnosis.parameters
+    if choose in diagnosis.choices:  # in the place of what stands for it, if that was named
+        found = {name: each for name, each in found.items() if name not in _mates(diagnosis, choose)}
+        own = diagnosis.choice_parameters.get(choose, own)  # and what was named before, as it is beside that
+        found = {name: {key: own.get(f"{name}.{key}", e) for key, e in each.items()} for name, each in found.items()}
+        found |= {choose: diagnosis.choices[choose]}
+    model = _refitted(diagnosis.model, own or diagnosis.base, found)
+    return Augmented(model, tuple(model.effects), tuple(found), _settings(model))
+
+
+def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
+    names = [effect.name for effect in diagnosis.effects]
+    if choose in diagnosis.choices or choose in names:
+        return
+    members = ", ".join(diagnosis.choices) or ", ".join(name for tie in diagnosis.ties for name in tie)
+    if named := [name for name in names if name in _mates(diagnosis, choose)]:
+        raise BristleError(
+            f"--choose {choose}: '{named[0]}' stands for it, and other effects were added to that; leave it out, "
+            f"or give the model '{choose}' in [effects] and diagnose again"
+        )
+    if not members:
+        raise BristleError(f"--choose {choose}: there is no tie to choose from, the verdict is '{diagnosis.verdict}'; leave it out")
+    raise BristleError(f"--choose {choose}: not a member of the tie; choose one of: {members}")
+
+
+def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
+    """Return the tie that an effect is in."""
+    return next((tie for tie in diagnosis.ties if name in tie), ())
+
+
+def _refitted(model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]) -> Model:
+    """Return the model with fitted values; its bounds give way where a value lies outside, so that the file reads back."""
+    values = {**model.parameters, **{name: e.value for name, e in own.items() if name in model.parameters}}
+    bounds = {name: (min(low, values[name]), max(high, values[name])) for name, (low, high) in model.bounds.items()}
+    effects = {name: dict(given) for name, given in model.effects.items()}
+    for name, e in own.items():  # an effect the model had already is refitted like the rest
+        effect, _, parameter = name.partition(".")
+        if effect in effects:
+            effects[effect][parameter] = e.value
+    for effect, estimates in found.items():
+        declared = {p.name.removeprefix(f"{effect}."): p.default for p in find_effect(effect).parameters}
+        effects[effect] = {**declared, **{name: e.value for name, e in estimates.items()}}
+    return replace(model, parameters=values, bounds=bounds, effects=effects)
+
+
+def _settings(model: Model) -> dict[str, float]:
+    """Return the start values of the servo: those of the model, and an encoder of its resolution."""
+    values = model.settings()
+    if model.resolution and model.output_kind == "position":
+        values[COUNTS.name] = min(max(2 * math.pi / model.resolution, COUNTS.minimum), COUNTS.maximum)
+    return values
+
+
+# -- the content of the files -----------------------------------------------------------------------------------------
+@dataclass
+class _Package:
+    """Files by name, what each is, and what could not be made."""
+
+    content: dict[str, bytes] = field(default_factory=dict)
+    meaning: dict[str, str] = field(default_factory=dict)
+    problems: list[BristleError] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, name: str, meaning: str, make: Callable[[], bytes]) -> None:
+        """Add a file, or remember why it could not be made."""
+        try:
+            self.content[name] = make()
+            self.meaning[name] = meaning
+        except BristleError as error:
+            self.problems.append(error)
+            self.notes.append(f"{name} was not written: {error}")
+
+
+def _package(diagnosis: Diagnosis, choose: str | None, fmi: int) -> _Package:
+    package = _Package()
+    package.meaning = {"diagnosis.json": "the answer in numbers", "report.html": "this page"}
+    augmented = None
+    try:
+        augmented = augment(diagnosis, choose)
+    except BristleError as error:
+        package.problems.append(error)
+        package.notes.append(str(error))
+        choose = None
+    chosen = {} if choose is None else {"chosen": choose}  # what the augmented model has in place of what stands for it
+    package.content["diagnosis.json"] = to_json(diagnosis.to_dict() | chosen).encode()
+    if augmented is not None:
+        _add_models(package, augmented, fmi)
+    page = render(diagnosis, draw(diagnosis), package.meaning, package.notes, choose)
+    package.content["report.html"] = page.encode()
+    return package
+
+
+def _add_models(package: _Package, augmented: Augmented, fmi: int) -> None:
+    extra = f" with {', '.join(augmented.added)} added" if augmented.added else " refitted; no effect was added"
+    package.add("augmented.toml", f"the model{extra}", lambda: model_text(augmented.model).encode())
+    about = f"the plant{extra}, FMI {fmi}.0; what was identified are its start values.{_in_place_of_volts(augmented.model)}"
+    package.add("augmented.fmu", about, lambda: _made(lambda out: _build_plant(augmented, out, fmi)))
+    reasons = {name: refusal(name, augmented.effects, augmented.added) for name in augmented.added}
+    possible = [name for name, reason in reasons.items() if reason is None]
+    refused = [reason for reason in reasons.values() if reason is not None]
+    if possible:
+        package.add("correction.fmu", _about_correction(possible, refused), lambda: _made(_correct(possible, augmented, fmi)))
+    elif refused:
+        package.meaning["no correction.fmu"] = "; ".join(refused)
+
+
+def _in_place_of_volts(model: Model) -> str:
+    said = []
+    if model.input_kind != "voltage":
+        said.append(f"u, written in V, is the input in {model.input_unit.replace('.', '·')}")
+    if model.linear:
+        said.append("rad, N.m and kg.m2 stand for m, N and kg")
+    return f" {'; '.join(said)}." if said else ""
+
+
+def _about_correction(possible: list[str], refused: list[str]) -> str:
+    text = f"what to feed a plant that lacks {', '.join(possible)}, so that it behaves as if it had it"
+    text += "; pass u_corrected on within the step, else it comes a sample late"
+    return f"{text}. Not in it: {'; '.join(refused)}" if refused else text
+
+
+def _build_plant(augmented: Augmented, out: Path, fmi: int) -> None:
+    build("plant", out, fmi=fmi, law=augmented.law, effects=augmented.effects, parameters=augmented.parameters)
+
+
+def _correct(names: list[str], augmented: Augmented, fmi: int) -> Callable[[Path], None]:
+    def make(out: Path) -> None:
+        write_archive(out, program_files(correction_program(names, augmented.parameters), fmi))
+
+    return make
+
+
+def _made(make: Callable[[Path], None]) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="bristle-") as folder:
+        out = Path(folder) / "made.fmu"
+        make(out)
+        return out.read_bytes()
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: int = 2) -> list[Path]:
+    """Write a diagnosis into the folder `out`: the files of `WRITTEN_FILES` that there are; older ones of these names go.
+
+    diagnosis.json and report.html always; augmented.toml and augmented.fmu if an effect was named (or none is missing:
+    then the model is the refitted one); correction.fmu if an effect can act through the input.
+
+    Parameters
+    ----------
+    choose : str, optional
+        Member of a tie to add by hand.
+    fmi : int
+        Version of the FMUs, 2 or 3.
+
+    Returns
+    -------
+    list of Path
+        The files, in the order of `WRITTEN_FILES`.
+
+    Raises
+    ------
+    IncompleteError
+        If `choose` is no member of a tie or an FMU cannot be made; all the rest is written, and the report says why.
+    BristleError
+        If the folder cannot be written; it is then as it was.
+    """
+    if not isinstance(diagnosis, Diagnosis):
+        raise BristleError(f"the diagnosis is a {type(diagnosis).__name__}; give what diagnose or diagnose_fmu returns")
+    out = Path(out)
+    check_writable(out)
+    check_places(out)
+    package = _package(diagnosis, choose, fmi)
+    written = _replace(out, package.content)
+    if package.problems:
+        raise IncompleteError(f"{package.problems[0]} (all else is in {out})")
+    return written
+
+
+def check_places(out: Path, inputs: Iterable[Path] = ()) -> None:
+    """Raise `BristleError` if writing into `out` would take the place of an input, or of a folder."""
+    places = {(Path(out) / name).resolve(): name for name in WRITTEN_FILES}
+    for path in inputs:
+        if Path(path).resolve() in places:
+            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder with --out")
+    for place, name in places.items():
+        if place.is_dir():
+            raise BristleError(f"{out}: '{name}' in it is a folder, and a file of that name is to be written; move it away")
+
+
+def _replace(out: Path, content: Mapping[str, bytes]) -> list[Path]:
+    """Put the files in the place of older ones; put those back if anything comes in between."""
+    try:
+        with tempfile.TemporaryDirectory(dir=out, prefix=".bristle-", ignore_cleanup_errors=True) as work:
+            fresh, old = Path(work) / "new", Path(work) / "old"
+            fresh.mkdir()
+            old.mkdir()
+            for name, data in content.items():
+                write_file(fresh / name, data)
+            _exchange(fresh, out, old)
+    except OSError as error:
+        raise complain(out, error) from None
+    return [out / name for name in WRITTEN_FILES if name in content]
+
+
+def _exchange(fresh: Path, out: Path, old: Path) -> None:
+    placed = []
+    try:
+        for name in WRITTEN_FILES:
+            if (out / name).exists():
+                os.replace(out / name, old / name)
+            if (fresh / name).exists():
+                os.replace(fresh / name, out / name)
+                placed.append(name)
+    except BaseException:
+        for name in placed:
+            os.unlink(out / name)
+        for path in old.iterdir():
+            os.replace(path, out / path.name)
+        raise

@@ -1,0 +1,388 @@
+"""The figures of a diagnosis as SVG text: the gap, where before and after differ, and what each effect would gain."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.common.drawing import (
+    BLUE,
+    DEGREES,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    RED,
+    STYLE,
+    new_figure,
+    set_labels,
+    set_title,
+    svg,
+    thin,
+)
+from bristle.diagnosis.modelfile import INPUT_UNITS
+from bristle.diagnosis.report.result import Candidate, Diagnosis, Round, Trace, View
+from bristle.diagnosis.report.text import AXES, view_name
+
+Array = NDArray[np.float64]
+BEFORE, AFTER = ORANGE, BLUE
+OVERLAY_SECONDS = 4.0  # of the overlay
+ERROR_SLICE = 0.2  # s over which the errors along the records are averaged
+CURVE_POINTS = 2000  # points of a curve of the overlay
+LABEL: Any = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
+DRAWN_MAPS = 3  # views that are drawn
+DRAWN_BARS = 9  # candidates of a round that are drawn
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+NOTE_LETTERS = 50  # letters of a note beside a bar
+PER_ROW = 2  # rounds beside each other
+AXIS_UNITS = {  # SI unit -> factor and unit of a figure's axis
+    "rad": (DEGREES, "deg"), "rad/s": (DEGREES, "deg/s"), "rad/s2": (DEGREES, "deg/s²"),
+    "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "m/s2": (1.0, "m/s²"),
+    "N.m": (1.0, "N·m"), "1": (1.0, ""),
+}  # fmt: skip
+
+
+def shown(unit: str) -> tuple[float, str]:
+    """Return (factor, unit) for an axis in the units people read: degrees and millimetres."""
+    return AXIS_UNITS.get(unit, (1.0, unit))
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What the axes are called: a rotary or linear axis, what drives it, what is measured."""
+
+    linear: bool = False
+    input_kind: str = "torque"
+    output_kind: str = "position"
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> Rig:
+        """Return the rig of a diagnosis: that of its model or, without one, what the gap's unit tells."""
+        model = diagnosis.model
+        if model is not None:
+            return cls(bool(model.linear), model.input_kind, model.output_kind)
+        unit = diagnosis.gap.output_unit
+        linear = not unit.startswith("rad")
+        return cls(linear, "force" if linear else "torque", "velocity" if "/s" in unit else "position")
+
+    @property
+    def angle(self) -> str:
+        """Unit of a position."""
+        return "m" if self.linear else "rad"
+
+    @property
+    def output(self) -> str:
+        """Unit of what is measured."""
+        return self.angle if self.output_kind == "position" else f"{self.angle}/s"
+
+    @property
+    def torque(self) -> str:
+        """Unit of a residual."""
+        return "N" if self.linear else "N.m"
+
+    @property
+    def drive(self) -> str:
+        """Unit of the input."""
+        return INPUT_UNITS[self.input_kind]
+
+    def axis(self, view: str, period: float | None = None) -> tuple[float, str]:
+        """Return (factor, label) of the axis of a view, or of one period of it."""
+        first = view.split(" ")[0]
+        name, kind = AXES.get("t" if first == "tone" else first, (view, "none"))
+        units = {
+            "angle": self.angle, "speed": f"{self.angle}/s", "acceleration": f"{self.angle}/s2", "input": self.drive,
+            "input rate": f"{self.drive}/s", "time": "s", "frequency": "Hz", "none": "1",
+        }  # fmt: skip
+        factor, unit = shown(units[kind])
+        if period is not None:
+            turns = 0 if self.linear or kind != "angle" else round(2 * math.pi / period)
+            part = f"1/{turns} of a turn" if turns > 1 else "a turn" if turns else f"one period of {factor * period:.3g} {unit}"
+            name = f"{name} within {part}"
+        return factor, f"{name}, {unit.replace('.', '·')}" if unit else name
+
+
+def draw(diagnosis: Diagnosis) -> dict[str, str]:
+    """Return the figures by name, each an <svg> element; what there is no data for is left out."""
+    from matplotlib import rc_context
+
+    rig, made = Rig.of(diagnosis), {}
+    with rc_context(STYLE):
+        for name, figure in (
+            ("gap", _gap(diagnosis, rig)),
+            ("overlay", _overlay(diagnosis, rig)),
+            ("maps", _maps(diagnosis.where, rig, improved(diagnosis))),
+            ("candidates", _candidates(diagnosis)),
+        ):
+            if figure is not None:
+                made[name] = svg(figure, name)
+    return made
+
+
+def improved(diagnosis: Diagnosis) -> bool:
+    """True if there is an "after" that differs from "before"."""
+    return bool(diagnosis.effects)
+
+
+def as_given(diagnosis: Diagnosis) -> bool:
+    """True if the model was not even fitted, for the data have to be mended first."""
+    return bool(diagnosis.proposals) and not diagnosis.rounds
+
+
+# -- gap ---------------------------------------------------------------------------------------------------------------
+def rms(square: float | None, rig: Rig) -> tuple[float, str]:
+    """Return a mean square as (root, unit) on the scale of the figures; NaN where there is none."""
+    factor, unit = shown(rig.output)
+    return (math.nan if square is None or square < 0 else factor * math.sqrt(square)), unit
+
+
+def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
+    gap = diagnosis.gap
+    first = "before" if improved(diagnosis) else "model as given" if as_given(diagnosis) else "refitted model"
+    rows = [(first, gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if improved(diagnosis) else [])
+    values = [rms(square, rig)[0] for _, square, _ in rows]
+    floor, unit = rms(gap.noise_floor, rig)
+    if not all(map(math.isfinite, values)) or max(values) <= 0:
+        return None
+    figure = new_figure(11.0, 0.95 + 0.42 * len(rows))
+    ax = figure.subplots()
+    right = 1.4 * max([*values, floor if math.isfinite(floor) else 0.0])
+    for row, ((name, square, colour), value) in enumerate(zip(rows, values, strict=True)):
+        ax.barh(row, value, color=colour, height=0.62)
+        both = f" ({math.sqrt(square):.3g} {rig.output})" if unit != rig.output else ""  # as the sentences have it
+        ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}{both}", va="center", color=INK)
+    if math.isfinite(floor):
+        ax.axvspan(0, floor, color=INK, alpha=0.13, linewidth=0, zorder=3)
+        ax.axvline(floor, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
+        most = "at most " if diagnosis.remains.flag else ""  # what is unexplained looks like noise
+        ax.text(floor, -0.52, f" noise floor {most}{floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
+    ax.set_xlim(0, right)
+    ax.set_ylim(len(rows) - 0.55, -0.95)
+    ax.set_yticks([])
+    ax.grid(axis="y", visible=False)
+    ax.spines["left"].set_visible(False)
+    set_labels(ax, x=f"rms error over {'all' if as_given(diagnosis) else 'held-out'} segments, {unit}")
+    _narrow_left(figure)
+    return figure
+
+
+def _narrow_left(figure: Any) -> None:
+    figure.subplots_adjust(left=0.25 / figure.get_size_inches()[0])
+
+
+# -- before and after ----------------------------------------------------------------------------------------------------
+def _mean_square(error: Array, count: int) -> Array:
+    """Return the mean square over `count` samples around each sample; NaN, where nothing was simulated, does not count."""
+    good = np.isfinite(error)
+    window = np.ones(min(count, len(error)))
+    weight = np.convolve(good, window, "same")
+    total = np.convolve(np.where(good, np.square(error), 0.0), window, "same")
+    return np.where(weight > 0.25 * len(window), total / np.maximum(weight, 1.0), np.nan)
+
+
+def telling(traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS) -> tuple[Trace, slice] | None:
+    """Return the record and the stretch of it in which the simulation was worst before."""
+    best: tuple[float, Trace, slice] | None = None
+    for trace in traces:
+        if len(trace.time) < 2:
+            continue
+        count = min(max(2, round(seconds / float(np.median(np.diff(trace.time))))), len(trace.time))
+        level = _mean_square(trace.before - trace.measured, count)
+        inside = level[count // 2 : max(len(level) - count // 2, count // 2 + 1)]
+        if not np.isfinite(inside).any():
+            continue
+        first = int(np.nanargmax(inside))
+        if best is None or inside[first] > best[0]:
+            best = float(inside[first]), trace, slice(first, min(first + count, len(trace.time)))
+    return None if best is None else best[1:]
+
+
+def _overlay(diagnosis: Diagnosis, rig: Rig) -> Any:
+    found = telling(diagnosis.traces)
+    if found is None:
+        return None
+    trace, part = found
+    both = improved(diagnosis)
+    figure = new_figure(11.0, 6.1)
+    grid = figure.add_gridspec(3, 1, height_ratios=[0.7, 1.7, 1.0], hspace=0.5)
+    along, top, low = (figure.add_subplot(grid[row]) for row in range(3))
+    _along(along, trace, part, rig, both)
+    factor, unit = shown(rig.output)
+    index = np.arange(len(trace.time))[part]
+    index = index[thin(len(index), CURVE_POINTS)]
+    time = trace.time[index]
+    curves = [("before", trace.before, BEFORE, "-"), ("after", trace.after, AFTER, (0, (3, 2)))][: 2 if both else 1]
+    top.plot(time, factor * trace.measured[index], color=INK, linewidth=3.0, alpha=0.28, label="measured")
+    for name, values, colour, style in curves:
+        label = f"simulated, {name}" if both else "simulated, refitted model"
+        top.plot(time, factor * values[index], color=colour, linestyle=style, linewidth=1.3, label=label)
+        low.plot(time, factor * (values - trace.measured)[index], color=colour, linewidth=1.0)
+    low.axhline(0, color=INK, linewidth=0.7)
+    for ax in (top, low):
+        _shade(ax, trace.time[part], trace.held_out[part])
+        ax.set_xlim(trace.time[part][0], trace.time[part][-1])
+    top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.19))
+    set_title(top, f"{trace.name}, where it was worst")
+    set_labels(top, y=f"{rig.output_kind}, {unit}")
+    set_labels(low, x="time, s", y=f"error, {unit}")
+    return figure
+
+
+def _along(ax: Any, trace: Trace, part: slice, rig: Rig, both: bool) -> None:
+    """Draw the errors along the whole record, and which part is shown below."""
+    factor, unit = shown(rig.output)
+    count = max(2, round(ERROR_SLICE / float(np.median(np.diff(trace.time)))))
+    index = thin(len(trace.time), CURVE_POINTS)
+    for values, colour in ((trace.before, BEFORE), (trace.after, AFTER))[: 2 if both else 1]:
+        level = factor * np.sqrt(_mean_square(values - trace.measured, count))
+        ax.plot(trace.time[index], level[index], color=colour, linewidth=1.0)
+    ax.axvspan(trace.time[part][0], trace.time[part][-1], color=GREY, alpha=0.22, linewidth=0)
+    ax.set_xlim(trace.time[0], trace.time[-1])
+    ax.set_ylim(bottom=0)
+    set_title(ax, f"{trace.name}, rms error over {ERROR_SLICE:g} s along the record; grey: the part shown below")
+    set_labels(ax, y=f"rms, {unit}")
+
+
+def _shade(ax: Any, time: Array, held_out: NDArray[np.bool_]) -> None:
+    """Shade the held-out stretches."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held_out, [False]]).astype(int)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        ax.axvspan(time[first], time[min(last, len(time) - 1)], color=GREEN, alpha=0.07, linewidth=0)
+
+
+# -- residual maps -------------------------------------------------------------------------------------------------------
+def _maps(views: Sequence[View], rig: Rig, both: bool) -> Any:
+    drawn = [view for view in views if view.centres.size > 1 and view.before.size][:DRAWN_MAPS]
+    if not drawn:
+        return None
+    figure = new_figure(11.0, 3.5)
+    axes = figure.subplots(1, len(drawn), squeeze=False)[0]
+    figure.subplots_adjust(wspace=0.26)
+    _, torque = shown(rig.torque)
+    power = _thousands([each for view in drawn for each in (view.before, view.after)])
+    for ax, view in zip(axes, drawn, strict=True):
+        _map(ax, view, rig, both, 10.0**-power)
+    scale = f"10{str(power).translate(RAISED)} " if power else ""
+    set_labels(axes[0], y=f"residual {'force' if rig.linear else 'torque'}, {scale}{torque}")
+    return figure
+
+
+def _thousands(values: Sequence[Array]) -> int:
+    """Return a power of ten that keeps the numbers beside an axis short: a power of a thousand, or 0 where they are anyhow."""
+    most = max((float(np.nanmax(np.abs(each))) for each in values if np.isfinite(each).any()), default=0.0)
+    return 0 if most == 0 or 0.01 <= most < 1e4 else 3 * math.floor(math.log10(most) / 3)
+
+
+def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
+    factor, label = rig.axis(view.view, view.period)
+    x = factor * view.centres
+    for row, before in enumerate(np.atleast_2d(view.before)):
+        style: Any = ("-", (0, (4, 2)))[row % 2]
+        name = f" {view.lines[row]}" if row < len(view.lines) else ""
+        ax.plot(x, scale * before, color=BEFORE, linestyle=style, label=f"{'before' if both else 'residual'}{name}")
+        if both and view.after.size:
+            ax.plot(x, scale * np.atleast_2d(view.after)[row], color=AFTER, linestyle=style, label=f"after{name}")
+    ax.axhline(0, color=INK, linewidth=0.7)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.28 * (high - low))  # room for the legend
+    ax.legend(loc="upper left", ncols=2, fontsize=8, handlelength=1.8, columnspacing=1.0, borderaxespad=0.2)
+    share = f"{100 * view.share:.0f} %" + (f" → {100 * view.share_after:.0f} %" if both else "")
+    set_title(ax, f"{view_name(view.view, view.label)}\n{share} of the residual")
+    set_labels(ax, x=label)
+
+
+# -- candidates ----------------------------------------------------------------------------------------------------------
+def _candidates(diagnosis: Diagnosis) -> Any:
+    rounds = [r for r in diagnosis.rounds if r.candidates]
+    if not rounds:
+        return None
+    columns = min(PER_ROW, len(rounds))
+    rows = -(-len(rounds) // columns)
+    bars = max(min(DRAWN_BARS, len(r.candidates)) for r in rounds)
+    figure = new_figure(11.0, rows * (0.26 * bars + 0.95))
+    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    figure.subplots_adjust(wspace=0.06, hspace=0.5)
+    _narrow_left(figure)
+    for number, (ax, each) in enumerate(zip(axes, rounds, strict=False), start=1):
+        _bars(ax, each, number, _tied(diagnosis, each, number == len(rounds)))
+    for ax in axes[len(rounds) :]:
+        ax.set_visible(False)
+    return figure
+
+
+def _tied(diagnosis: Diagnosis, each: Round, last: bool) -> set[str]:
+    """Return what tied in a round: with what was added or, in the last one, without anything added."""
+    added = {effect.name for effect in diagnosis.effects}
+    open_ = last and each.added is None
+    return {name for tie in diagnosis.ties for name in tie if each.added in tie or (open_ and not added & set(tie))}
+
+
+def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
+    ranked = sorted(each.candidates, key=lambda c: -c.gain if math.isfinite(c.gain) else math.inf)
+    drawn = ranked[:DRAWN_BARS]
+    best = max((c.gain for c in drawn if math.isfinite(c.gain)), default=0.0)
+    right = 1.7 * max(best, each.null_level, 1e-9)
+    for row, candidate in enumerate(drawn):
+        ax.barh(row, candidate.level, color=GREY, alpha=0.25, height=0.98, linewidth=0)
+        ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
+        tried = math.isfinite(candidate.gain)
+        gain = max(candidate.gain, 0.0) if tried else 0.0
+        ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
+        gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
+        note = f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})" if candidate.note else ""
+        text = f"{candidate.name}  {gained}{note}"
+        ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
+    ax.set_xlim(0, right)
+    ax.set_ylim(len(drawn) - 0.5, -0.6)
+    ax.set_yticks([])
+    ax.grid(axis="y", visible=False)
+    ax.spines["left"].set_visible(False)
+    more = len(ranked) - len(drawn)
+    set_title(ax, f"round {number}: {each.added or 'nothing'} added" + (f"; {more} more gain less" if more > 0 else ""))
+    set_labels(ax, x="gain, nats")
+
+
+def _shade_of(candidate: Candidate, each: Round, tied: set[str]) -> str:
+    if candidate.name == each.added:
+        return BLUE
+    if candidate.name in tied:
+        return RED
+    return PALE
+
+
+def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
+    """Return title and caption of each figure."""
+    both = improved(diagnosis)
+    band = " Grey band: what resolution and disturbances alone give." if diagnosis.gap.noise_floor is not None else ""
+    shrink = " The shrink is that of the mean square above this floor." if both and band else ""
+    before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
+    colours = ", before (orange) and after (blue)" if both else ""
+    segments = "short segments that took no part in the search"
+    if as_given(diagnosis):
+        segments = "short segments, of the model as it was given: nothing was fitted and nothing looked for"
+    return {
+        "gap": ("The gap", f"Root of the mean squared error over {segments}.{band}{shrink}"),
+        "overlay": (
+            "Before and after" if both else "Measured and simulated",
+            f"Each segment starts from its own fitted position and velocity.{before} "
+            "Green shade: held out of the search and of these fits, so that a step there is known only to its edges.",
+        ),
+        "maps": (
+            "Where the difference lives",
+            f"Residual averaged in bins of the view or, where it repeats, fitted over one period{colours}; solid: forward, "
+            "dashed: backward, where there are two lines. "
+            "The share is how much of the residual the view predicts on data it has not seen.",
+        ),
+        "candidates": (
+            "What each effect would gain",
+            "Rise of the log-likelihood (in nats: 3 more are 20 times as likely) when the effect is added and "
+            "everything refitted. Shaded up to the dashed line: what chance gives it, all candidates together, in all but two of "
+            "a thousand records without any effect. Blue: added; red: tied; pale: neither.",
+        ),
+    }

@@ -1,0 +1,217 @@
+"""What a diagnosis says: the content of diagnosis.json, and what the report draws beside it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.common.output import plain
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a limit."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None
+    at_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that was added: `gain` is the rise of the log-likelihood [nats], `p` how often chance gives as much."""
+
+    name: str
+    group: str
+    parameters: dict[str, Estimate]
+    gain: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, a note.
+
+    An effect that could not be tried has no gain (NaN, null in diagnosis.json), and the note says why.
+    Of those above chance: `size`, the factor by which the mean squared error falls; `kept`, the gain on segments kept from
+    the search [nats]; `behind`, by how much the best one is likelier, and `doubt`, the standard error of that [nats].
+    """
+
+    name: str
+    gain: float
+    level: float
+    note: str = ""
+    size: float | None = None
+    kept: float | None = None
+    behind: float | None = None
+    doubt: float | None = None
+
+
+@dataclass(frozen=True)
+class Round:
+    """One step of the stepwise search: all candidates, the level of its best one that chance reaches, and what was decided."""
+
+    candidates: tuple[Candidate, ...]
+    null_level: float
+    p: float
+    added: str | None
+    decision: str
+    gain: float = 0.0  # of the best one, under the noise that it leaves
+    size: float = 1.0  # factor by which it lowers the mean squared error
+    finer: float | None = None  # the same gain with finer steps of the simulation
+
+
+@dataclass(frozen=True)
+class View:
+    """Share of the residual's power in the output that is predictable from a view, before and after, each with its p.
+
+    `label` says what was found in it, such as "7 in a turn"; `before` and `after`, shape (lines, bins), are
+    residual torques [N.m; N on a linear axis] in the bins of `centres` (bins,) [SI]; the `lines` have names, such as forward
+    and backward for views with a direction. Shares are of 1. With a `period` [unit of the axis] its periods are laid over
+    each other.
+    """
+
+    view: str
+    share: float
+    p: float
+    share_after: float
+    p_after: float
+    label: str = ""
+    centres: Array = field(default_factory=lambda: np.empty(0))
+    before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins)
+    after: Array = field(default_factory=lambda: np.empty(0))
+    lines: tuple[str, ...] = ()
+    period: float | None = None
+
+
+@dataclass(frozen=True)
+class Remains:
+    """Whether something is left that no effect explains, where (None: no view shows it), and its share of the residual.
+
+    `disturbance`: the torque that it takes for a disturbance, over that of the input; rms. `label`: as of the `View`.
+    """
+
+    flag: bool
+    view: str | None
+    share: float
+    disturbance: float = 0.0
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Mean squared output error over held-out segments [`unit`], start states at their best.
+
+    `before`: of the model refitted without effects; `after`: with what was found; `noise_floor`: what disturbance and sensor
+    alone would leave, None where that is not known; `output_unit` is that of the output. `ratio`: before over floor;
+    `shrink`: share of what is above the floor that was closed.
+    """
+
+    before: float
+    after: float
+    noise_floor: float | None
+    output_unit: str
+
+    @property
+    def unit(self) -> str:
+        """Unit of the output, squared."""
+        return f"({self.output_unit})2" if "/" in self.output_unit else f"{self.output_unit}2"
+
+    @property
+    def ratio(self) -> float | None:
+        return None if not self.noise_floor else self.before / self.noise_floor
+
+    @property
+    def shrink(self) -> float | None:
+        if self.noise_floor is None or self.before <= self.noise_floor:
+            return None
+        return (self.before - self.after) / (self.before - self.noise_floor)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Measured and simulated output of one record, segment by segment (NaN where it was not compared).
+
+    All arrays are (n,), an average a bin: `time` [s], `input` [unit of the input in SI], `measured`, `before` and `after`
+    [output]; `held_out` is true where the search did not see.
+    """
+
+    name: str
+    time: Array
+    input: Array
+    measured: Array
+    before: Array
+    after: Array
+    held_out: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer; `to_dict` gives the content of diagnosis.json.
+
+    `findings` are lines of intake and plausibility (what, where, what to do); `statement` is the answer in sentences.
+    `excitation`: what the records excite, as plain numbers (ranges of input, speed and position in SI, shares of the time at
+    rest, forward, backward; as in the report), and `narrow`, why the records are too poor, or an empty text. `seconds`: how
+    long it took [s].
+    """
+
+    verdict: str  # named | tie | none | not_identifiable
+    statement: tuple[str, ...]
+    effects: tuple[Named, ...]
+    ties: tuple[tuple[str, ...], ...]
+    experiment: str
+    where: tuple[View, ...]
+    remains: Remains
+    gap: Gap
+    excitation: dict[str, Any]
+    findings: tuple[str, ...]
+    base: dict[str, Estimate]  # parameters of the model, refitted without effects
+    parameters: dict[str, Estimate]  # the same with the effects added
+    rounds: tuple[Round, ...]
+    undetected: dict[str, str]  # effects not found: what size would have been seen, or why it cannot be seen
+    traces: tuple[Trace, ...]
+    model: Any = None  # diagnosis.modelfile.Model
+    proposals: tuple[str, ...] = ()  # sign flip, unit factor: mend the data first
+    seconds: float = 0.0
+    # of each member of a tie, as if it had been named: its own parameters, and those of the model beside it
+    choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
+        content: dict[str, Any] = plain(
+            {
+                "verdict": self.verdict,
+                "statement": list(self.statement),
+                "effects": [
+                    {"name": e.name, "class": e.group, "parameters": {k: asdict(v) for k, v in e.parameters.items()},
+                     "gain": e.gain, "p": e.p}
+                    for e in self.effects
+                ],
+                "ties": [list(t) for t in self.ties],
+                "experiment": self.experiment,
+                "where": [
+                    {"view": w.view, "share": w.share, "p": w.p, "share_after": w.share_after, "p_after": w.p_after}
+                    for w in self.where
+                ],
+                "remains": asdict(self.remains),
+                "gap": {"before": self.gap.before, "after": self.gap.after, "noise_floor": self.gap.noise_floor,
+                        "ratio": self.gap.ratio, "shrink": self.gap.shrink, "unit": self.gap.unit},
+                "excitation": self.excitation,
+                "findings": list(self.findings),
+                "proposals": list(self.proposals),
+                "base": {k: asdict(v) for k, v in self.base.items()},
+                "parameters": {k: asdict(v) for k, v in self.parameters.items()},
+                "rounds": [asdict(r) for r in self.rounds],
+                "undetected": dict(self.undetected),
+                "choices": {n: {k: asdict(v) for k, v in found.items()} for n, found in self.choices.items()},
+                "seconds": self.seconds,
+            }
+        )  # fmt: skip
+        return content

@@ -1,0 +1,1 @@
+"""Which effects are missing: candidates, chance, criterion, stepwise search."""

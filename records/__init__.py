@@ -1,0 +1,1 @@
+"""Measured records: read, brought to SI and one clock, checked."""

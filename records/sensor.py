@@ -1,0 +1,212 @@
+"""What output and input show of sensor and drive: steps, spikes, wraps, a frozen reading, limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import fft, ndimage, stats
+
+from bristle.common.table import Array
+from bristle.diagnosis.modelfile import Model
+from bristle.records.record import Raw, Record
+from bristle.records.resolution import common_step
+
+LIMITED_SHARE = 0.01  # a share of samples at an extreme value above this is a limit
+LIMITED_SAMPLES = 10  # samples, at least
+CREST_RATIO = 4.0  # and many times as long as on the values next to it
+SWITCHED_LEVELS = 20  # an input of fewer values is switched, not limited
+MOTIONLESS_STEPS = 3.001  # steps of the resolution: less is no motion
+FINE_STEP = 1e-5  # of the range, or of a turn: finer steps are those of a reading that is as good as continuous
+WHOLE_COUNTS = 0.05  # counts: a turn of a whole number of them, as far as a step can be found
+NOISE_P = 0.01  # that pure noise passes for motion, in each test: to take a motion for noise would be worse
+MEDIAN_SAMPLES, MEDIAN_DEVIATIONS = (
+    9,
+    8.0,
+)  # running medians of so many samples of pure noise lie within this many times its standard deviation
+SPIKE_RATIO = 8.0  # a spike steps this many times farther than its neighbours
+COUNTER_BITS = (8, 32)  # of a counter that wraps
+FROZEN_DURATION = 0.2  # s: an output that stands still so long while the input sweeps most of its range is worth a line
+
+
+def resolution_of(model: Model, raw: Raw) -> float | None:
+    """Return the step of the output, and compare it with the model's."""
+    found = common_step(raw.y)
+    if found is not None and found < 1e-7 * np.ptp(raw.y):
+        found = None  # printed digits, not steps of a sensor
+    if model.resolution is None:
+        return found
+    told = f"[output] resolution is {model.resolution:.4g} {model.output_unit}"
+    if found is None:
+        raw.say(f"{told}, but the output shows no such steps: was it filtered or interpolated?")
+    elif not 0.8 < found / model.resolution < 1.25:
+        raw.say(f"{told}, but the output comes in steps of {found:.4g} {model.output_unit}; correct the resolution or the unit")
+    return found
+
+
+def tell_steps(model: Model, records: list[Record]) -> list[Record]:
+    """Say once, with the first record, in what steps the output moves where the model does not know."""
+    step = max(record.resolution or 0.0 for record in records)
+    span = max(float(np.ptp(record.y)) for record in records)
+    turns = model.output_kind == "position" and not model.linear
+    if model.resolution is not None or step <= FINE_STEP * (min(span, 2.0 * np.pi) if turns else span):
+        return records
+    counts = 2.0 * np.pi / step
+    whole = turns and abs(counts - round(counts)) < WHOLE_COUNTS
+    line = f"the output moves in steps of {step:.3g} {model.output_unit}" + (f" ({counts:.0f} a turn)" if whole else "")
+    return [replace(records[0], findings=(*records[0].findings, line)), *records[1:]]
+
+
+def must_move(model: Model, raw: Raw, resolution: float | None) -> None:
+    """Refuse an output that stays within a few of its steps, or is nothing but noise."""
+    span, unit = float(np.ptp(raw.y)), model.output_unit
+    if span <= MOTIONLESS_STEPS * (resolution or 0.0) or span <= 1e-12 * float(np.max(np.abs(raw.y))):
+        seen = f"the output stays within {span:.3g} {unit}" + (f", its resolution is {resolution:.3g} {unit}" if resolution else "")
+    elif not _leaves_noise(raw.y) and _only_noise(raw.u, raw.y):
+        seen = f"all that the output shows is noise of {np.std(raw.y):.3g} {unit} rms"
+    else:
+        return
+    raise raw.error(f"nothing moves: {seen}; check [output] column, and give a record with motion")
+
+
+def _leaves_noise(y: Array) -> bool:
+    """True if the output leaves the noise for some samples in a row: a servo may rest nearly all of the time."""
+    step = float(np.min(np.diff(np.unique(y)), initial=np.inf))  # of a coarse sensor; one that hardly ever changes has no deviation
+    usual = max(float(stats.median_abs_deviation(y, scale="normal")), step)
+    return bool(np.ptp(ndimage.median_filter(y, MEDIAN_SAMPLES, mode="nearest")) > MEDIAN_DEVIATIONS * usual)
+
+
+def _only_noise(u: Array, y: Array) -> bool:
+    """True if the output is white and does not follow the input: a servo is slow, so that its motion is not white.
+
+    Of white noise, the shares that the frequencies have in the power add up evenly, none stands out, and the correlation
+    with anything else is small at every lag. A motion far smaller than the noise shows in one of the three. Ranks stand for
+    the values, lest a lone outlier, whose spectrum is even as well, hide a motion.
+    """
+    u, y = stats.rankdata(u), stats.rankdata(y)
+    n = len(y)
+    spectrum = np.asarray(fft.rfft(y))
+    spectrum[0] = 0.0  # the mean
+    share = np.abs(spectrum[1 : (n + 1) // 2]) ** 2
+    share /= np.sum(share)
+    m = len(share)
+    if m * np.exp(-m * np.max(share)) < NOISE_P or stats.kstest(np.cumsum(share)[:-1], "uniform").pvalue < NOISE_P:
+        return False
+    correlation = fft.irfft(spectrum * np.conj(fft.rfft(u)), n) / (n * np.std(u) * np.std(y) or 1.0)
+    return bool(n * np.exp(-n * np.max(correlation**2) / 2) > NOISE_P)
+
+
+def mend_spikes(raw: Raw, resolution: float | None) -> None:
+    """Replace isolated samples that jump away and back; a servo cannot."""
+    d = np.diff(raw.y)
+    size = np.abs(d)
+    floor = max(6.0 * (resolution or 0.0), 1e-9 * float(np.max(np.abs(raw.y), initial=0.0)))
+    mended: list[int] = []
+    y = raw.y.copy()
+    before = np.max(np.lib.stride_tricks.sliding_window_view(size, 6), axis=1)[:-1]  # of the six steps before step 6, 7, ...
+    for k in (6 + np.flatnonzero((size[6:] > floor) & (size[6:] > SPIKE_RATIO * before))).tolist():
+        for width in (1, 2, 3):
+            back = k + width
+            if back + 6 >= len(d) or (mended and mended[-1] > k - 6):
+                continue
+            around = max(float(before[k - 6]), float(np.max(size[back + 1 : back + 7])))
+            inside = float(np.max(size[k + 1 : back], initial=0.0))
+            returns = d[k] * d[back] < 0 and abs(d[k] + d[back]) < 0.25 * size[k]
+            if returns and size[back] > SPIKE_RATIO * around and inside < 0.25 * size[k]:
+                y[k + 1 : back + 1] = np.interp(np.arange(k + 1, back + 1), [k, back + 1], raw.y[[k, back + 1]])
+                mended.append(k + 1)
+                break
+    if mended:
+        k = mended[0]
+        worst = max(float(size[i - 1]) for i in mended)
+        where = f"first at sample {k}, {raw.time[k]:.6g} s; up to {worst:.3g}"
+        raw.say(f"output jumps away and back at {len(mended)} places ({where}); interpolated over")
+        raw.y = y
+
+
+def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
+    """Unwrap a position that jumps by one and the same amount and never leaves a range of that size."""
+    d = np.diff(raw.y)
+    span = float(np.ptp(raw.y))
+    jumps = np.flatnonzero(np.abs(d) > 0.5 * span)
+    if not len(jumps) or span == 0.0:
+        return False
+    rest = np.abs(np.delete(d, jumps))
+    if np.max(rest, initial=0.0) > 0.25 * span:
+        return False
+    sizes = np.abs(d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)]))
+    full = 2.0 * np.pi
+    turn = float(np.median(sizes))
+    known = next((size for size in ((full, 360.0, 1.0) if not model.linear else ()) if abs(turn - size) < 0.02 * size), None)
+    counter = None if known else _counter(turn, resolution)
+    turn = known or counter or (resolution * round(turn / resolution) if resolution else turn)
+    sure = known == full or counter is not None
+    fits = span <= 1.02 * turn and np.max(np.abs(sizes - turn)) <= 0.1 * turn
+    if len(jumps) < 2 and not (fits and sure):  # one of any size may be a slip
+        where = f"after {raw.time[jumps[0]]:.6g} s"
+        raw.say(f"position jumps once by {turn:.4g} {model.output_unit} {where}: a lost reading or a wrap? cut the record there")
+        return False
+    if not fits:
+        return False
+    raw.y = raw.y + np.concatenate([[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))])
+    first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
+    if model.linear or sure:
+        raw.say(f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped")
+    else:
+        raw.say(
+            f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped, but a turn has {full:.4g} rad: "
+            f"check [output] unit ('{model.output.unit}') and scale"
+        )
+    return True
+
+
+def _counter(turn: float, resolution: float | None) -> float | None:
+    """Return the range of a counter of so many bits, if a jump is of that size."""
+    if not resolution or turn <= 0.0:
+        return None
+    bits = round(float(np.log2(turn / resolution)))
+    size = float(resolution * 2.0**bits)
+    return size if min(COUNTER_BITS) <= bits <= max(COUNTER_BITS) and abs(turn - size) < 0.005 * size else None
+
+
+def report_frozen(raw: Raw, resolution: float | None) -> None:
+    """Report an output that freezes in motion and then catches up, or stands still under a sweeping input."""
+    same = np.diff(raw.y) == 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    runs = edges.reshape(-1, 2)  # differences start..end-1 are zero
+    d = np.abs(np.diff(raw.y))
+    span = float(np.ptp(raw.u))
+    caught, still = [], []
+    for start, end in runs[runs[:, 1] - runs[:, 0] >= 5].tolist():
+        if start >= 4 and end + 4 < len(d):
+            speed = float(np.mean(d[start - 3 : start]))
+            leap = float(d[end])
+            after = float(np.max(d[end + 1 : end + 4]))
+            if speed > 3 * (resolution or 0.0) and leap > 0.5 * speed * (end - start) and leap > 2.5 * max(after, speed):
+                caught.append((start, end))
+                continue
+        if raw.time[end] - raw.time[start] >= FROZEN_DURATION and np.ptp(raw.u[start : end + 1]) > 0.8 * span > 0.0:
+            still.append((start, end))
+    for runs_found, what in (
+        (caught, "the output freezes in motion and then catches up: a lost reading; cut these parts"),
+        (still, "the output stands still while the input sweeps most of its range: a stop, a drive that is off, a stuck sensor?"),
+    ):
+        if runs_found:
+            start, end = runs_found[0]
+            where = f"{len(runs_found)} such parts, the first from {raw.time[start]:.6g} to {raw.time[end]:.6g} s"
+            raw.say(f"{what} ({where})")
+
+
+def report_limits(raw: Raw) -> None:
+    """Report an input that rests at its largest or smallest value."""
+    values, counts = np.unique(raw.u, return_counts=True)
+    if len(values) < SWITCHED_LEVELS:
+        return
+    for which, value, count, beside in (
+        ("largest", values[-1], counts[-1], np.max(counts[-4:-1])),
+        ("smallest", values[0], counts[0], np.max(counts[1:4])),
+    ):
+        # the crest of a signal in steps also dwells on its last value, but not so much longer than on those before
+        if count > max(LIMITED_SHARE * len(raw.u), LIMITED_SAMPLES) and count > CREST_RATIO * beside and value != 0.0:
+            line = f"input is at its {which} value {value:.6g} for {count / len(raw.u):.1%} of the time"
+            raw.say(f"{line}: a limit, and what is logged must be behind it; or a step of the command")
