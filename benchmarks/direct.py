@@ -12,6 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +52,8 @@ def ramps(plant: str, seed: int) -> dict[str, NDArray[np.float64]]:
     knots = 3.0 * np.random.default_rng(seed).standard_normal(round(SECONDS / 0.05) + 1)
     knots[0] = 0.0
 
-    def voltage(t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.interp(t, 0.05 * np.arange(len(knots)), knots)
+    def voltage(t: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        return np.asarray(np.interp(t, 0.05 * np.arange(len(knots)), knots))
 
     out, _ = Native(servo_program(law), parameters).run(
         STEP / fine, {"u": voltage((np.arange(n * fine) + 0.5) * STEP / fine)}, ["theta", "v"]

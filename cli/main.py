@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, IncompleteError
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -247,7 +247,7 @@ def diagnose(
         raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
     _check_effect(choose)
     from bristle.common.output import output_folder
-    from bristle.diagnosis.report.export import IncompleteError, check_places, write
+    from bristle.diagnosis.report.export import check_places, write
 
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
     with output_folder(out), _fraction("diagnose") as tell:

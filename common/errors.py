@@ -1,15 +1,35 @@
-"""The exceptions a user can meet, and the near miss they suggest."""
+"""The exceptions of the library, all in one tree, and suggestions for a misspelt word.
+
+    Exception
+    ├── ValueError
+    │   └── BristleError           what the user gave cannot be used; the base of all that follow
+    │       ├── SimulationError    a simulation cannot go on (an ArithmeticError too)
+    │       ├── RestartError       an FMU cannot be started again from given states
+    │       ├── IncompleteError    one of several outputs could not be made; the others were written
+    │       └── NotStaticError     the inverse dynamics need states that are not measured
+    └── RuntimeError
+        ├── CoreError              bristle.model.runtime
+        └── RefusedError           bristle.fmus.slave
+    BaseException
+    └── Interrupted                bristle.cli.main: Ctrl-C or SIGTERM
+
+`except BristleError` catches whatever the library reports. CoreError and RefusedError are raised inside an FMU, where the
+library is not installed: their modules are copied into it, and the importing tool turns them into an FMI error.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+
+__all__ = ["BristleError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest"]
 
 
 class BristleError(ValueError):
     """A mistake in what the user gave: one line that says what, where, what is allowed and what to do."""
 
 
-class SimulationError(BristleError):
+class SimulationError(BristleError, ArithmeticError):
     """A simulation that cannot go on: a state left the finite numbers or the internal-step cap was hit.
 
     Attributes
@@ -18,9 +38,21 @@ class SimulationError(BristleError):
         Simulated time in seconds at which it stopped.
     """
 
-    def __init__(self, message: str, time: float) -> None:
+    def __init__(self, message: str, time: float = math.nan) -> None:
         super().__init__(message)
         self.time = time
+
+
+class RestartError(BristleError):
+    """An FMU that cannot be started from given states more than once in one process."""
+
+
+class IncompleteError(BristleError):
+    """One of several outputs could not be made; the others were written."""
+
+
+class NotStaticError(BristleError):
+    """The acceleration of a model depends on more than position, velocity, input and time."""
 
 
 def suggest(word: str, known: Sequence[str]) -> str:

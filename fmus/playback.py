@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, RestartError
 from bristle.fmus.host import Fmu, Slave
 from bristle.fmus.isolate import isolated
 
@@ -21,10 +21,6 @@ REHEARSAL = 8  # steps that must come out the same after a new beginning
 SAME = 1e-9  # relative: how far they may be apart
 OBEYED = 0.1  # a start value must move its output by itself, but for this fraction
 WAYS = {"reset": "reset", "snapshot": "restored to a snapshot of the state before initialisation", "again": "instantiated again"}
-
-
-class NotAnewError(BristleError):
-    """An FMU that cannot be begun in a given state, more than once."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +64,14 @@ def play_stretches(play: Play, progress: Callable[[int], None] | None = None) ->
 
     Raises
     ------
-    NotAnewError
-        If the FMU cannot be begun in a given state.
+    RestartError
+        If the FMU cannot be started from given states.
     BristleError
         If it crashes or refuses a step.
     """
     answer = isolated(_stretches, play, [play.fmu.path], progress)
     if isinstance(answer, str):
-        raise NotAnewError(answer)
+        raise RestartError(answer)
     return answer
 
 
@@ -97,7 +93,7 @@ def _stretches(play: Play, control: NDArray[np.int64]) -> Played | str:
             outputs.append(player.run(stretch))
             control[0] = k + 1
         return Played(tuple(outputs), WAYS[player.way])
-    except NotAnewError as error:
+    except RestartError as error:
         return str(error)
     finally:
         player.close()
@@ -217,7 +213,7 @@ class _Player:
                 reasons.append(f"its output {ignored} does not start where {self.play.begins[ignored]} says")
             else:
                 return
-        raise NotAnewError("; ".join(reasons))
+        raise RestartError("; ".join(reasons))
 
     def _tried(self, stretch: Stretch) -> Array:
         self.begin(stretch.time, stretch.start)

@@ -97,7 +97,7 @@ class SpeedLoop:
         self.integral = 0.0
 
     def __call__(self, k: int, _theta: float, v: float) -> float:
-        error = self.reference[k] - v
+        error = float(self.reference[k]) - v
         self.integral += 20.0 * STEP * error
         return 4.0 * error + self.integral
 

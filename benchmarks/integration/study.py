@@ -67,8 +67,8 @@ def accuracy() -> None:
     print("|---|---|---|---|---|---|")
     for tolerance, found in rows.items():
         margin, where, _, _ = min(found)
-        steps, cost = [row[2] for row in found], [row[3] for row in found]
-        means = f"{np.mean(steps):.1f} ({max(steps):.1f}) | {np.mean(cost):.2f} ({max(cost):.2f}) | {sum(cost) / sum(steps):.2f}"
+        each, micros = [row[2] for row in found], [row[3] for row in found]
+        means = f"{np.mean(each):.1f} ({max(each):.1f}) | {np.mean(micros):.2f} ({max(micros):.2f}) | {sum(micros) / sum(each):.2f}"
         print(f"| {tolerance:.0e} | {margin:.1f} | {where} | {means} |")
     print(f"\nAt the default, {default:.0e}:\n")
     print("| set | scenario | theta | v | z or w | margin | doubt | steps a ms | us a ms |")

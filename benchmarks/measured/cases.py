@@ -165,7 +165,8 @@ def go1(tell: Callable[[str], None]) -> Iterator[Run]:
         loaded = taken(known, entries)
         tell(f"go1 with {mass:g} kg")
         found = diagnose(known, loaded)
-        numbers, data = {"inertia": f"{found.parameters['J'].value:.3g} kg·m²" if found.parameters else "–"}, {"mass": mass}
+        numbers = {"inertia": f"{found.parameters['J'].value:.3g} kg·m²" if found.parameters else "–"}
+        data: dict[str, Any] = {"mass": mass}
         weight = next((e for e in found.effects if e.name == "gravity"), None)
         if weight is not None:
             data |= {"A": weight.parameters["amplitude"], "J": found.parameters["J"]}

@@ -107,7 +107,7 @@ def settled(error: Array) -> float | None:
     """Return when errors [%] of (samples, parameters) are within the band for good [s]; None: never, or there are none."""
     if not error.shape[1]:
         return None
-    second = settling(STEP * np.arange(1, len(error) + 1), np.abs(error).max(axis=1))
+    second = settling(np.array(STEP * np.arange(1, len(error) + 1), float), np.abs(error).max(axis=1))
     return second if math.isfinite(second) else None
 
 

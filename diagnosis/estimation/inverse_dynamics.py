@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.errors import NotStaticError
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, moved
 from bristle.diagnosis.estimation.noise import Noise, response
 from bristle.diagnosis.estimation.optimiser import STOP_GAIN
@@ -35,10 +36,6 @@ BALANCE_ITERATIONS, BALANCE_SCREENING_ITERATIONS = 12, 4  # steps of a fit; of o
 BALANCE_NOISE_PASSES = 2  # times that noise and parameters are estimated in turn
 BALANCE_DAMPING = 1e-3
 BALANCE_INPUTS = ("theta", "v", "u", "time")
-
-
-class NotStaticError(Exception):
-    """The acceleration depends on more than position, velocity, input and time."""
 
 
 @lru_cache(maxsize=64)

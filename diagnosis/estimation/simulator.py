@@ -13,7 +13,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.errors import SimulationError
 from bristle.diagnosis.estimation.segments import Piece, Segments
 from bristle.model.native import Native, pointer
 from bristle.plant.effects import effect as find_effect
@@ -42,10 +41,6 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
 def play_parameter(effects: Sequence[str]) -> str:
     """Return the parameter that says how far the load behind a coupling can move by itself, or nothing."""
     return next((f"{name}.{find_effect(name).loose}" for name in effects if find_effect(name).loose), "")
-
-
-class Unstable(SimulationError):
-    """A simulation that failed in most of its segments."""
 
 
 @lru_cache(maxsize=256)  # four rounds of all effects

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, RestartError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.estimation.dataset import Dataset, fit_from_several_starts
@@ -30,7 +30,7 @@ from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.stepwise import Tell
 from bristle.diagnosis.workflow import examine, mend_first, must_be, retried, teller
 from bristle.fmus.host import Fmu
-from bristle.fmus.playback import INPUT, NotAnewError, Play, Played, Stretch, play_stretches, play_whole, start_variable
+from bristle.fmus.playback import INPUT, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.records.record import Record
 
 Array = NDArray[np.float64]
@@ -144,7 +144,7 @@ def _simulated(fmu: Fmu, dataset: Dataset, tell: Tell) -> tuple[Segments, list[s
     try:
         for name in wanted:
             if name not in begins:
-                raise NotAnewError(f"no parameter {name}_start and no start value of {name}")
+                raise RestartError(f"no parameter {name}_start and no start value of {name}")
         lead = round(FMU_LEAD / s.h)
         stretches = tuple(_stretches(dataset, lead, begins))
         known = {name: variable for name, variable in begins.items() if name in outputs}
@@ -155,7 +155,7 @@ def _simulated(fmu: Fmu, dataset: Dataset, tell: Tell) -> tuple[Segments, list[s
             f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments, {lead * s.h:.3g} s before it, with "
             f"{' and '.join(begins.values())} as measured; other states it has then begin at their start values"
         ]
-    except NotAnewError as error:
+    except RestartError as error:
         whole = tuple(Stretch(piece.time, piece.u, {}) for piece in s.pieces)
         played = play_whole(Play(fmu, s.h, whole, outputs, {}))
         line = f"{fmu.path.name} cannot be begun anew at each segment ({error}): it ran over whole records from its own start"

@@ -1,4 +1,4 @@
-"""Linear response of the residual: what a torque along the measured motion does to the output, and what torque a residual speaks of."""
+"""Linear response of the residual: what a torque along the measured motion does to the output, and the torque behind a residual."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, IncompleteError
 from bristle.common.output import check_writable, complain, to_json, write_file
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
@@ -22,10 +22,6 @@ from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import COUNTS
 
 WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu")
-
-
-class IncompleteError(BristleError):
-    """Something could not be made; all the rest was written."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from bristle.diagnosis.estimation.inverse_dynamics import (
     Balance,
     BalancedModel,
     Found,
-    NotStaticError,
 )
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
 from bristle.diagnosis.estimation.optimiser import value_under_noise
@@ -148,7 +147,7 @@ def joint_starts(dataset: Dataset, model: BalancedModel, name: str) -> list[Star
             for best, free, start in trials[: QUICK.starts]:
                 _, best = model.refit_with_noise(balance, effects, free, best)
                 found.append((best.total, (best.values, {key: best.values[f"{name}.{key}"] for key in start})))
-    except (NotStaticError, BristleError):
+    except BristleError:
         return []
     return [max(found, key=lambda each: each[0])[1]] if found else []
 

@@ -13,7 +13,7 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, IncompleteError
 from bristle.diagnosis import load_model
 from bristle.diagnosis.report import export
 from bristle.diagnosis.report.result import Estimate, Gap, Named
@@ -98,7 +98,7 @@ def test_a_member_of_a_tie_can_be_chosen(answer):
 )
 def test_a_choice_that_cannot_be_is_said_and_the_rest_is_written(answer, tmp_path, monkeypatch, case, choose, words):
     monkeypatch.setattr(export, "_build_plant", lambda *arguments: pytest.fail("nothing may be built"))
-    with pytest.raises(export.IncompleteError, match=words) as caught:
+    with pytest.raises(IncompleteError, match=words) as caught:
         export.write(answer(case), tmp_path, choose)
     assert "\n" not in str(caught.value)
     assert names(tmp_path) == ["diagnosis.json", "report.html"]

@@ -50,7 +50,7 @@ def asymmetric() -> tuple[fitting.Dataset, Fit]:
     }
     model = Model.from_dict(tree)
     own = dataset_of(model, [simulated(model, seed) for seed in (1, 2)])
-    base = dataset.fit_with_noise(own, *base_servo_of(model, own))
+    base = fitting.fit_with_noise(own, *base_servo_of(model, own))
     free = (*base.servo.free, *free_parameters("asymmetric_coulomb", {"share": 0.0}, {}))
     simulator = base.servo.simulator(own.segments, ("asymmetric_coulomb",))
     begin = {**base.fit.values, "asymmetric_coulomb.share": 0.0}
@@ -59,7 +59,7 @@ def asymmetric() -> tuple[fitting.Dataset, Fit]:
 
 def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[fitting.Dataset, Fit]) -> None:
     _, first = asymmetric
-    assert first.noise.corner < dataset.FAST_CORNER
+    assert first.noise.corner < fitting.FAST_CORNER
     assert first.values["asymmetric_coulomb.share"] < 0.3 * TRUE["asymmetric_coulomb.share"]
 
 
