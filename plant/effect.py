@@ -13,6 +13,7 @@ from bristle.common.errors import BristleError
 from bristle.model.system import System
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
+from bristle.plant.wording import Wording
 
 SX = ca.SX
 Array = NDArray[np.float64]
@@ -115,6 +116,9 @@ class Effect:
 
     Attributes
     ----------
+    description, title : str
+        What it is, in a sentence's part and in two to five words; these, `excitation` and the descriptions of the parameters may
+        have the placeholders of a `Wording`.
     group : str
         Name of its class: the effects that data may not tell apart, joined by a slash.
     equation : str
@@ -168,6 +172,7 @@ class Effect:
     name: str
     description: str
     source: str
+    title: str
     group: str
     equation: str
     residual: tuple[str, ...]
@@ -194,6 +199,12 @@ class Effect:
     coupling: Callable[[Context, SX, SX], Coupling] | None = None
     bristles: Callable[[Context], tuple[SX, SX]] | None = None
     starts: Callable[[Evidence], list[dict[str, float]]] | None = None
+
+    def worded(self, wording: Wording) -> Effect:
+        """Return the effect with the words for an axis in its texts."""
+        parameters = tuple(replace(p, description=wording.fill(p.description)) for p in self.parameters)
+        texts = {name: wording.fill(getattr(self, name)) for name in ("description", "title", "excitation")}
+        return replace(self, parameters=parameters, **texts)
 
     @property
     def bending(self) -> frozenset[str]:

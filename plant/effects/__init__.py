@@ -8,11 +8,12 @@ from functools import cache
 
 from bristle.common.errors import BristleError
 from bristle.plant.effect import Effect
+from bristle.plant.wording import ROTARY, Wording
 
 
 @cache
-def _catalogue() -> tuple[Effect, ...]:
-    """Return what the files here declare, each checked, so that a mistake in one is told at once and with its file."""
+def _catalogue(wording: Wording) -> dict[str, Effect]:
+    """Return what the files here declare, checked, so that a mistake in one is reported at once with its file."""
     files: dict[str, str] = {}
     found = []
     for module in sorted(module.name for module in pkgutil.iter_modules(__path__)):
@@ -30,17 +31,20 @@ def _catalogue() -> tuple[Effect, ...]:
         if unknown := [name for name in effect.confounded if name not in files]:
             listed = ", ".join(files)
             raise BristleError(f"{files[effect.name]}: confounded with unknown effects: {', '.join(unknown)}; known: {listed}")
-    return tuple(found)
+    return {effect.name: effect.worded(wording) for effect in found}
 
 
-def effects() -> dict[str, Effect]:
-    """Return all effects by name, in alphabetical order of their files; raise `BristleError` if a file declares none rightly."""
-    return {effect.name: effect for effect in _catalogue()}
+def effects(wording: Wording = ROTARY) -> dict[str, Effect]:
+    """Return all effects by name, in alphabetical order of their files, with the words for an axis in their texts.
+
+    Raise `BristleError` if a file declares none rightly.
+    """
+    return dict(_catalogue(wording))
 
 
-def effect(name: str) -> Effect:
-    """Return the effect `name`; raise `BristleError` for an unknown one."""
-    known = effects()
+def effect(name: str, wording: Wording = ROTARY) -> Effect:
+    """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for an unknown one."""
+    known = _catalogue(wording)
     if name not in known:
         raise BristleError(f"unknown effect '{name}'; known: {', '.join(known)}")
     return known[name]

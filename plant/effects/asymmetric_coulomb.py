@@ -26,6 +26,7 @@ EFFECT = Effect(
     "asymmetric_coulomb",
     "dry friction that differs between the directions",
     "armstrong1994",
+    title="direction-dependent dry friction",
     group="bias/asymmetric_coulomb",
     equation="Fc (1 + alpha sgn v)",
     residual=("direction",),

@@ -23,14 +23,15 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 EFFECT = Effect(
     "back_emf",
-    "voltage that the turning motor takes from the drive",
+    "{input} that the turning motor takes from the drive",
     "spong2006",
+    title="back-EMF of the motor",
     group="back_emf",
     equation="u - K v",
     residual=("v",),
     excitation="none helps beside a free viscous term: it takes a measured current",
     confounded=("quadratic_drag",),
-    parameters=(Parameter("back_emf.constant", "K", "V.s/rad", 0.05, 0.0, 1e6, "voltage over speed", "spong2006 chapter 6"),),
+    parameters=(Parameter("back_emf.constant", "K", "V.s/rad", 0.05, 0.0, 1e6, "{input} over speed", "spong2006 chapter 6"),),
     rank=1,
     drive=drive,
     starts=starts,

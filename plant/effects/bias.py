@@ -24,14 +24,15 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 EFFECT = Effect(
     "bias",
-    "constant torque",
+    "constant {torque}",
     "janot2019",
+    title="constant {torque}",
     group="bias/asymmetric_coulomb",
     equation="T = tau0",
     residual=("all",),
     excitation="any motion; only another level of friction tells it from asymmetric_coulomb",
     confounded=("asymmetric_coulomb", "gravity", "disturbance_step"),
-    parameters=(Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant torque, positive forward", "janot2019"),),
+    parameters=(Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant {torque}, positive forward", "janot2019"),),
     torque=torque,
     starts=starts,
 )

@@ -27,6 +27,7 @@ EFFECT = Effect(
     "bristle_damping",
     "elastic, damped motion before it slides",
     "canudas1995",
+    title="damped presliding",
     group="presliding/bristle_damping",
     equation="F = sigma0 z + sigma1 z', z' = v - sigma0 |v| z / Fc",
     residual=("history", "a"),

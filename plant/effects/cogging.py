@@ -36,8 +36,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 EFFECT = Effect(
     "cogging",
-    "torque that repeats from pole to pole",
+    "{torque} that repeats from pole to pole",
     "krishnan2010",
+    title="cogging {torque}",
     group="cogging",
     equation="T = A1 sin(N theta + phi1) + A2 sin(2 N theta + phi2)",
     residual=("theta",),
@@ -46,7 +47,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("cogging.amplitude", "A1", "N.m", 0.001, -1e6, 1e6, "amplitude of the first term", "krishnan2010"),
         Parameter("cogging.phase", "phi1", "rad", 0.0, -10.0, 10.0, "phase of the first term", "krishnan2010"),
-        Parameter("cogging.periods", "N", "1", 7.0, 1.0, 1e4, "periods in a turn", "krishnan2010"),
+        Parameter("cogging.periods", "N", "1", 7.0, 1.0, 1e4, "{periods}", "krishnan2010"),
         Parameter("cogging.amplitude2", "A2", "N.m", 0.0, -1e6, 1e6, "amplitude of the second term", "krishnan2010"),
         Parameter("cogging.phase2", "phi2", "rad", 0.0, -10.0, 10.0, "phase of the second term", "krishnan2010"),
     ),

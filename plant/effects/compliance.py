@@ -33,6 +33,7 @@ EFFECT = Effect(
     "compliance",
     "a load behind a spring",
     "spong2006",
+    title="elastic coupling to the load",
     group="compliance",
     equation="T = k e (1 + h e^2) + d e', e = theta - theta_load, J_load = r J",
     residual=("frequency",),

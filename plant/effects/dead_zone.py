@@ -27,6 +27,7 @@ EFFECT = Effect(
     "dead_zone",
     "a drive that does not answer to small inputs",
     "tao1996",
+    title="dead zone of the drive",
     group="dead_zone",
     equation="u - clip(u, -d, d)",
     residual=("u",),

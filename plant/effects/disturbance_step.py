@@ -26,8 +26,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 EFFECT = Effect(
     "disturbance_step",
-    "a torque that sets in at some time and stays",
+    "a {torque} that sets in at some time and stays",
     "astrom2008",
+    title="step in the load {torque}",
     group="disturbance_step",
     equation="T = D clip((t - t0)/rise, 0, 1)",
     residual=("t",),
@@ -35,7 +36,7 @@ EFFECT = Effect(
     excitation="a record that lasts beyond the onset",
     confounded=("friction_drift", "bias"),
     parameters=(
-        Parameter("disturbance_step.torque", "D", "N.m", 0.005, -1e6, 1e6, "torque after the onset", "astrom2008"),
+        Parameter("disturbance_step.torque", "D", "N.m", 0.005, -1e6, 1e6, "{torque} after the onset", "astrom2008"),
         Parameter("disturbance_step.onset", "t0", "s", 0.5, -1e6, 1e6, "time of the onset", "astrom2008"),
         Parameter("disturbance_step.rise", "rise", "s", 1e-3, 1e-6, 1e3, "duration of the ramp", "astrom2008"),
     ),

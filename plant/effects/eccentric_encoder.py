@@ -34,6 +34,7 @@ EFFECT = Effect(
     "eccentric_encoder",
     "an encoder disc that is not centred on the shaft",
     "ellin2008",
+    title="eccentric encoder disc",
     group="eccentric_encoder",
     equation="y = theta + e (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta))",
     residual=("theta", "v"),

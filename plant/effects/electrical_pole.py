@@ -28,8 +28,9 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 EFFECT = Effect(
     "electrical_pole",
-    "torque that follows the input with the winding's time constant",
+    "{torque} that follows the input with the winding's time constant",
     "spong2006",
+    title="electrical lag of the winding",
     group="input_delay/electrical_pole",
     equation="T x' = u - x",
     residual=("du",),

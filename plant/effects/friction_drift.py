@@ -32,6 +32,7 @@ EFFECT = Effect(
     "friction_drift",
     "dry friction that changes with time",
     "armstrong1994",
+    title="drift of the friction",
     group="friction_drift",
     equation="Fc max(1 + r (1 - exp(-s t))/s, 0) sgn v",
     residual=("t x direction",),

@@ -26,6 +26,7 @@ EFFECT = Effect(
     "gain_asymmetry",
     "a gain that differs between the signs of the input",
     "tao1996",
+    title="sign-dependent drive gain",
     group="gain_asymmetry",
     equation="u + g |u|",
     residual=("u",),

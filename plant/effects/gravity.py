@@ -31,6 +31,7 @@ EFFECT = Effect(
     "gravity",
     "a mass out of balance",
     "spong2006",
+    title="gravity on an unbalanced mass",
     group="gravity",
     equation="T = -A (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta))",
     residual=("theta",),

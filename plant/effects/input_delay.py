@@ -34,6 +34,7 @@ EFFECT = Effect(
     "input_delay",
     f"a drive that acts on an older input (at most {LENGTH} sampling periods)",
     "laakso1996",
+    title="dead time of the input",
     group="input_delay/electrical_pole",
     equation="u(t - T), linear between samples",
     residual=("du",),

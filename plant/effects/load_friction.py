@@ -24,15 +24,16 @@ def starts(e: Evidence) -> list[dict[str, float]]:
 
 EFFECT = Effect(
     "load_friction",
-    "dry friction that grows with the transmitted torque",
+    "dry friction that grows with the transmitted {torque}",
     "duclusaud2024",
+    title="load-dependent dry friction",
     group="load_friction",
     equation="mu |T_motor| sgn v",
     residual=("u x direction",),
     excitation="varied load at equal speed",
     confounded=("gain_asymmetry", "back_emf"),
     parameters=(
-        Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted torque", "duclusaud2024"),
+        Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}", "duclusaud2024"),
     ),
     bound=bound,
     starts=starts,

@@ -39,6 +39,7 @@ EFFECT = Effect(
     "position_friction",
     "dry friction that depends on the position",
     "armstrong1994",
+    title="position-dependent dry friction",
     group="position_friction",
     equation="Fc max(1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta)), 0) sgn v",
     residual=("theta x direction",),
@@ -46,7 +47,7 @@ EFFECT = Effect(
     confounded=("cogging", "load_friction", "friction_drift"),
     parameters=(
         Parameter("position_friction.amplitude", "A", "1", 0.4, -1.0, 1.0, "share of the friction that varies", "armstrong1994"),
-        Parameter("position_friction.periods", "N", "1", 1.0, 1.0, 1e4, "periods in a turn", "armstrong1994"),
+        Parameter("position_friction.periods", "N", "1", 1.0, 1.0, 1e4, "{periods}", "armstrong1994"),
         Parameter("position_friction.phase", "phi", "rad", 0.0, -10.0, 10.0, "phase", "armstrong1994"),
         Parameter("position_friction.sine2", "s2", "1", 0.0, -0.35, 0.35, "share of a second term, sine", "armstrong1994"),
         Parameter("position_friction.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share of a second term, cosine", "armstrong1994"),

@@ -32,6 +32,7 @@ EFFECT = Effect(
     "presliding",
     "elastic motion before it slides",
     "canudas1995",
+    title="elastic presliding",
     group="presliding/bristle_damping",
     equation="F = sigma0 z, z' = v - sigma0 |v| z / Fc",
     residual=("history",),

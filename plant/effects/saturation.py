@@ -26,6 +26,7 @@ EFFECT = Effect(
     "saturation",
     "a limit of the input below the drive's known one",
     "khalil2002",
+    title="saturation of the drive",
     group="saturation",
     equation="clip(u, -s, s)",
     residual=("u",),

@@ -28,6 +28,7 @@ EFFECT = Effect(
     "stribeck",
     "more dry friction at low speed",
     "armstrong1994",
+    title="Stribeck friction",
     group="stribeck",
     equation="Fc (1 + e exp(-|v/vs|^n)) sgn v",
     residual=("v",),

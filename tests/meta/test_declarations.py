@@ -13,6 +13,7 @@ from bristle.observer import methods
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws
 from bristle.plant.servo import servo_program
+from bristle.plant.wording import Wording
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("model", "plant", "observer", "fmus", "harness", "diagnosis", "cli")
@@ -102,11 +103,21 @@ def test_every_law_says_what_it_is_and_where_it_comes_from(name):
     assert "Source:" in (law.equations.__doc__ or "")
 
 
+@pytest.mark.parametrize("wording", [Wording(), Wording(linear=True, input_kind="force")])
+def test_the_texts_of_effects_have_no_open_placeholder_and_no_torque_on_a_linear_axis(wording):
+    for effect in effects(wording).values():
+        texts = (effect.title, effect.description, effect.excitation, *(p.description for p in effect.parameters))
+        assert not any("{" in text for text in texts)
+        if wording.linear:
+            assert not any(word in text for text in texts for word in ("torque", "voltage", "periods in a turn"))
+
+
 @pytest.mark.parametrize("name", list(effects()))
 def test_every_effect_says_what_it_is_and_where_it_comes_from(name):
     effect = effects()[name]
     assert effect.name == name
     assert len(effect.description.split()) >= 2
+    assert 2 <= len(effect.title.split()) <= 5
     assert set(KEY.findall(effect.source)) & set(KEYS)
     slots = (
         effect.command, effect.drive, effect.torque, effect.factor, effect.bound, effect.output, effect.coupling,
