@@ -1,4 +1,4 @@
-"""Linear response of the residual: what a torque along the measured motion does to the output, and the torque behind a residual."""
+"""Linear response of the residual: what a torque does to the output, and which torque the residual is evidence of."""
 
 from __future__ import annotations
 
