@@ -203,8 +203,13 @@ class Effect:
     def worded(self, wording: Wording) -> Effect:
         """Return the effect with the words for an axis in its texts."""
         parameters = tuple(replace(p, description=wording.fill(p.description)) for p in self.parameters)
-        texts = {name: wording.fill(getattr(self, name)) for name in ("description", "title", "excitation")}
-        return replace(self, parameters=parameters, **texts)
+        return replace(
+            self,
+            description=wording.fill(self.description),
+            title=wording.fill(self.title),
+            excitation=wording.fill(self.excitation),
+            parameters=parameters,
+        )
 
     @property
     def bending(self) -> frozenset[str]:
