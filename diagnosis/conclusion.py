@@ -11,7 +11,8 @@ from functools import partial
 import numpy as np
 
 from bristle.diagnosis.checks.excitation import VELOCITY_CAVEAT, excitation
-from bristle.diagnosis.estimation.dataset import Dataset, FittedModel
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import FittedModel, disturbance_ratio, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.likelihood import Fit, errors, evaluate, mean_square, squares
 from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
 from bristle.diagnosis.estimation.uncertainty import estimates
@@ -55,13 +56,13 @@ def conclude(
     named = final.servo.effects[len(model.effects) :]
     gap = gap_between(model, dataset, base, final)
     left = unexplained(
-        after, final.fit.values, named, gap, dataset.turn, fall_between(dataset, base, final), dataset.odd(final.fit),
-        dataset.disturbance(final.fit),
+        after, final.fit.values, named, gap, dataset.turn, fall_between(dataset, base, final),
+        has_outliers_or_disturbance(dataset, final.fit), disturbance_ratio(dataset, final.fit),
     )  # fmt: skip
     gap = known_floor(gap, left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE))
     undecided = undecided_names(last)
     mute = () if named or undecided else unidentified_parameters(plain)
-    verdict = "named" if named else unnamed(last, dataset.narrow, left, mute)
+    verdict = "named" if named else unnamed(last, dataset.poor_excitation, left, mute)
     intervals = estimates(model, whole, final.problem.only(dataset.segments.judged))
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
@@ -85,7 +86,7 @@ def conclude(
         statement=tuple(map(said, story.statement(verdict, effects, ties, gap, left, intervals, mute))),
         effects=effects,
         ties=tuple(ties),
-        experiment=said(story.experiment(ties, left, dataset.narrow, bool(named))),
+        experiment=said(story.experiment(ties, left, dataset.poor_excitation, bool(named))),
         where=where,
         remains=left,
         gap=gap,
@@ -182,7 +183,7 @@ def _whole(dataset: Dataset, fitted: FittedModel) -> Fit:
 
 def views_before_and_after(dataset: Dataset, base: FittedModel, final: FittedModel) -> tuple[tuple[answer.View, ...], list[Share]]:
     """Return the views before and after, both as the final noise sees them, with maps; and the shares after."""
-    plain = evaluate(final.problem, base.fit.simulator, base.fit.free, base.fit.values, base.fit.starts)
+    plain = evaluate(final.problem, base.fit)
     models = (FittedModel(base.servo, final.problem, plain), final)
     found, torques = [], []
     for fitted in models:

@@ -1,4 +1,4 @@
-"""Before the search: records as segments, the servo that a model describes, and its fit."""
+"""Before the search: records -> `Dataset` -> the servo that a model describes -> `FittedModel`."""
 
 from __future__ import annotations
 
@@ -11,24 +11,35 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
-from bristle.diagnosis.estimation.dataset import Dataset, FittedModel, base_servo, fit_from_several_starts
-from bristle.diagnosis.estimation.likelihood import evaluate, mean_square
+from bristle.diagnosis.estimation.dataset import (
+    SEGMENT_BINS,
+    SEGMENT_SECONDS,
+    STATE_SMOOTHING,
+    Dataset,
+    Grid,
+    Segments,
+    cut,
+    motion,
+    smooth,
+)
+from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_from_several_starts, has_diverged
+from bristle.diagnosis.estimation.likelihood import Point, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import Noise
-from bristle.diagnosis.estimation.segments import SEGMENT_BINS, SEGMENT_SECONDS, STATE_SMOOTHING, Segments, cut, motion, smooth
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, Servo, free_parameters, inactive_values
 from bristle.diagnosis.localisation.views import TURN_EFFECTS
 from bristle.diagnosis.modelfile import NO_LIMIT, Model
 from bristle.plant.friction import law as find_law
 from bristle.records.record import Record
 
-SHORTEST_SEGMENT = 0.1  # s: in less, friction and inertia hardly show
-LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step
-SMOOTH_LAW_TOLERANCE = 1e-5  # of smooth laws: far below what a record can tell
-SWALLOWED_SHARE = 0.8  # of the time, in which a dead zone may hold the input back, or a saturation be reached
-MOSTLY_SWALLOWED = 0.5  # of the time: a dead zone that swallows more says that the input does next to nothing
-STRIBECK_SPEED_SHARE = 0.25  # of the top speed, but for rare ones: up to there a Stribeck curve must have fallen
-POLE_SHARE = 0.25  # of a segment: the slowest electrical pole
-EDGE_SHARE = 0.05  # of the time, at either end, in which no step is looked for; of speeds, that are rare
+SHORTEST_SEGMENT = 0.1  # s: shortest segment for a model that diverges
+LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
+SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
+BRISTLE_DEFLECTION = 0.25  # of the sensor's step: largest deflection of the bristles of rigid friction
+SWALLOWED_SHARE = 0.8  # of the time: most in which a dead zone blocks the input or a saturation limits it
+MOSTLY_SWALLOWED = 0.5  # of the time: a dead zone that blocks the input longer must be beyond doubt
+STRIBECK_SPEED_SHARE = 0.25  # of the top speed: largest Stribeck speed
+POLE_SHARE = 0.25  # of a segment: largest time constant of the electrical pole
+EDGE_SHARE = 0.05  # of the samples at either end that do not count for the range of times and of speeds
 
 
 def dataset_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT_SECONDS) -> Dataset:
@@ -42,22 +53,22 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT
         raise BristleError(f"records: none lasts three segments of {length * h:g} s; give longer ones")
     resolution = model.resolution or max(r.resolution or 0.0 for r in records)
     noise = float(np.median([np.std(r.y - smooth(r.y, h, 3 * h)) for r in long]))
-    resolution = resolution or max(noise, 1e-12)
-    pieces = [cut(r.name, float(r.time[0]), h, r.u, r.y, velocity, resolution, width, bins) for r in long]
-    segments = Segments(tuple(pieces), h, width, bins, velocity)
+    resolution, grid = resolution or max(noise, 1e-12), Grid(h, width, bins, velocity)
+    pieces = tuple(cut(r.name, float(r.time[0]), r.u, r.y, grid, resolution) for r in long)
+    segments = Segments(h, width, bins, velocity, pieces)
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
-    barred = {"stribeck": f"the law '{model.friction}' has a Stribeck curve of its own"} if _falls(model) else {}
-    doubtful = h >= SLOW_SAMPLING and not any(r.ahead for r in records)
-    dataset = Dataset(segments, moved, resolution, least, excitation(model, records)["narrow"], barred, doubtful=doubtful)
-    if not model.linear:
-        return dataset
-    barred |= {name: "needs a shaft that turns: this axis is linear" for name in TURN_EFFECTS}
-    return replace(dataset, barred=barred, linear=True, turn=float(np.ptp(moved.theta)))
+    excluded = {"stribeck": f"the law '{model.friction}' has a Stribeck curve of its own"} if _has_stribeck(model) else {}
+    if model.linear:
+        excluded |= {name: "needs a shaft that turns: this axis is linear" for name in TURN_EFFECTS}
+    return Dataset(
+        segments, moved, resolution, least, excitation(model, records)["narrow"], excluded, model.linear,
+        float(np.ptp(moved.theta)) if model.linear else 2 * math.pi, h >= SLOW_SAMPLING and not any(r.ahead for r in records),
+    )  # fmt: skip
 
 
-def _falls(model: Model) -> bool:
-    """True if the friction of the law itself falls with the speed: it has a static friction."""
+def _has_stribeck(model: Model) -> bool:
+    """True if the law itself has a static friction, from which it falls with the speed."""
     return any(p.name.endswith(".Fs") for p in find_law(model.friction).parameters)
 
 
@@ -100,54 +111,69 @@ def fixed_values(h: float) -> dict[str, float]:
 
 
 def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, float]]:
-    """Return the servo that a model describes, its own effects included, and the values it starts from."""
-    s = dataset.segments
-    step = dataset.resolution * (s.h if s.velocity else 1.0)
-    servo, values = base_servo(model.friction, {"b": 1.0, **model.parameters}, model.bounds, fixed_values(s.h), step)
-    rigid = servo.rigid and not set(model.effects) & set(BRISTLE_EFFECTS)
-    free = tuple(f for f in servo.free if rigid or not f.name.startswith(f"{OWN_BRISTLES}."))
-    own = {f"{effect}.{name}": value for effect, given in model.effects.items() for name, value in given.items()}
-    more = tuple(f for effect, given in model.effects.items() for f in _held(effect, given))
-    servo = replace(
-        servo, effects=tuple(model.effects), free=(*free, *more), rigid=rigid, limits=limits(dataset), credible=credible(dataset),
-    )  # fmt: skip
-    return servo, {**values, **own}
+    """Return the servo that a model describes, its own effects included, and its start values.
 
-
-def _held(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
-    """Give the free parameters of an effect that the model has already, loosely held by their values there.
-
-    A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never reached, stays.
+    Parameters with bounds are free, with a wide prior around their nominal values.
     """
-    resting = {key for key, value in inactive_values(effect).items() if given[key.removeprefix(f"{effect}.")] == value}
-    for f in free_parameters(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in resting}, {}):
+    s, given = dataset.segments, {"b": 1.0, **model.parameters}
+    free = []
+    for name, (low, high) in model.bounds.items():
+        doubt = max(2.0 * abs(given[name]), 0.5 * (high - low), 1e-12)
+        free.append(Free(name, low, high, nominal=given[name], doubt=doubt))
+    values, dry = dict(given), f"{model.friction}.Fc" in given and not find_law(model.friction).states
+    rigid = dry and not set(model.effects) & set(BRISTLE_EFFECTS)
+    if dry:
+        step = dataset.resolution * (s.h if s.velocity else 1.0)  # of the sensor, in position
+        least = max(given[f"{model.friction}.Fc"], 1e-9) / (BRISTLE_DEFLECTION * step)
+        damping = (3 * least * given["J"]) ** 0.5
+        values |= {f"{OWN_BRISTLES}.stiffness": 3 * least, f"{OWN_BRISTLES}.damping": damping}
+        if rigid:
+            free.append(Free(f"{OWN_BRISTLES}.stiffness", least, 1e4 * least, True, math.log(3 * least), 1.0))
+            free.append(Free(f"{OWN_BRISTLES}.damping", 0.0, 30 * damping, False, damping, 2 * damping))
+    for effect, own in model.effects.items():
+        values |= {f"{effect}.{name}": value for name, value in own.items()}
+        free += _prior_around(effect, own)
+    servo = Servo(
+        model.friction, tuple(model.effects), tuple(model.bounds), tuple(free), fixed_values(s.h), rigid, limits(dataset),
+        credible(dataset),
+    )  # fmt: skip
+    return servo, values
+
+
+def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
+    """Give the free parameters of an effect that the model has already, each with a wide prior around its value there.
+
+    A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never reached, stays fixed.
+    """
+    inactive = {key for key, value in inactive_values(effect).items() if given[key.removeprefix(f"{effect}.")] == value}
+    for f in free_parameters(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in inactive}, {}):
         value = given[f.name.removeprefix(f"{effect}.")]
-        known = math.log(value) if f.factor else value
-        yield replace(f, nominal=known, doubt=1.0 if f.factor else 2.0 * abs(value)) if value else f
+        nominal = math.log(value) if f.factor else value
+        yield replace(f, nominal=nominal, doubt=1.0 if f.factor else 2.0 * abs(value)) if value else f
 
 
 def prepare_model(model: Model, records: Sequence[Record], dataset: Dataset) -> tuple[Dataset, FittedModel, list[str]]:
     """Return the records in segments that the model can follow, the model fitted to them, and findings.
 
-    A light servo in a stiff loop runs away from what was measured as soon as anything is missing; what it does then says
-    nothing of what that is. Shorter segments do.
+    The simulation of a light servo in a stiff loop diverges from the measured motion as soon as anything is missing, and its
+    residual does not show what. Shorter segments prevent that.
     """
     usual, asked = dataset.segments.seconds, SEGMENT_SECONDS
     base = fit_from_several_starts(dataset, *base_servo_of(model, dataset))
-    while dataset.away(base.fit) and asked / 2 >= SHORTEST_SEGMENT:
+    while has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SEGMENT:
         asked /= 2
         shorter = dataset_of(model, records, asked)
         if shorter.segments.seconds < dataset.segments.seconds:
             dataset, base = shorter, fit_from_several_starts(shorter, *base_servo_of(model, shorter))
     seconds = dataset.segments.seconds
-    line = f"the model runs away from these records within {usual:.3g} s: it was compared over {seconds:.3g} s at a time"
+    line = f"the simulation diverges from these records within {usual:.3g} s: segments of {seconds:.3g} s were compared instead"
     return dataset, base, [line] if seconds < usual else []
 
 
 def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:
-    """Return the mean squared error of a servo as it is [output squared]; NaN if it cannot follow the records at all."""
-    white = Noise(np.eye(dataset.segments.bins), 0.0, 0.0, 1.0, 1.0)
-    problem = dataset.problem(white, dataset.segments.judged)
-    fit = evaluate(problem, servo.simulator(dataset.segments), servo.free, dict(values), dataset.segments.starts)
+    """Return the mean squared error of a servo as it is [output squared]; NaN if every simulation of a segment fails."""
+    s = dataset.segments
+    problem = Problem.of(s, Noise(np.eye(s.bins), 0.0, 0.0, 1.0, 1.0), s.judged)
+    fit = evaluate(problem, Point(servo.simulator(s), servo.free, dict(values), s.starts))
     live = fit.weight > 0
     return mean_square(fit, live) if live.any() else math.nan

@@ -15,7 +15,8 @@ from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import NotHeldError, fed
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.conclusion import conclude, fall_between, gap_between, views_before_and_after
-from bristle.diagnosis.estimation.dataset import Dataset, FittedModel, fit_with_noise
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
 from bristle.diagnosis.localisation.unexplained import unexplained
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
@@ -130,7 +131,7 @@ def examine(
             remains=answer.Remains(False, None, 0.0),  # nothing is left with the wider bounds until they are tried
         )  # fmt: skip
     tell("what remains", 0.85)
-    if dataset.narrow and final is not base and _in_part(model, dataset, base, final):
+    if dataset.poor_excitation and final is not base and _in_part(model, dataset, base, final):
         why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too poor records to name it"
         final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
     return conclude(model, records, dataset, base, final, rounds, begun)
@@ -145,7 +146,7 @@ def _in_part(model: Model, dataset: Dataset, base: FittedModel, final: FittedMod
 
 def better_unbound(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> str | None:
     """Return a proposal where wider bounds alone explain the records better than the effects that were found within them."""
-    tight = {f.name: f for f in base.servo.free if f.name in model.bounds and f.barred(base.fit.values[f.name])}
+    tight = {f.name: f for f in base.servo.free if f.name in model.bounds and f.at_binding_bound(base.fit.values[f.name])}
     if not tight:
         return None
     free = tuple(f.widened(BOUND_FACTOR) if f.name in tight else f for f in base.servo.free)

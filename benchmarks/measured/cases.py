@@ -14,8 +14,8 @@ from scipy.optimize import least_squares
 
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
 from bristle.diagnosis.checks.plausibility import check
-from bristle.diagnosis.estimation.dataset import fit_with_noise
-from bristle.diagnosis.estimation.segments import smooth
+from bristle.diagnosis.estimation.dataset import smooth
+from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.dataset import Dataset, FittedModel
-from bristle.diagnosis.estimation.likelihood import Fit, evaluate
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import FittedModel, refit_with_noise, under_own_noise
+from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate
 from bristle.diagnosis.estimation.optimiser import value_under_noise
 from bristle.records.record import Record
 
@@ -49,9 +51,9 @@ def must_be_held(dataset: Dataset, fitted: FittedModel) -> None:
 
     Half a sample of delay that the model does not have would be explained by whatever effect comes near.
     """
-    if not dataset.doubtful:
+    if not dataset.input_may_change:
         return
-    held, _ = value_under_noise(fitted.fit, dataset.left_by)
+    held, _ = value_under_noise(fitted.fit, partial(under_own_noise, dataset))
     if _with(dataset, fitted, FIRST_INPUT_SHARE)[0] < held + INPUT_CHANGE_GAIN:
         return
     promised = [_with(dataset, fitted, share)[0] for share in INPUT_SHARES]
@@ -67,8 +69,8 @@ def _with(dataset: Dataset, fitted: FittedModel, share: float) -> tuple[float, F
     """
     pieces = tuple(replace(piece, u=mixed(piece.u, share)) for piece in dataset.segments.pieces)
     simulator = fitted.servo.simulator(replace(dataset.segments, pieces=pieces))
-    fit = evaluate(fitted.problem, simulator, fitted.fit.free, fitted.fit.values, fitted.fit.starts)
-    return value_under_noise(fit, dataset.left_by)
+    fit = evaluate(fitted.problem, Point(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.starts))
+    return value_under_noise(fit, partial(under_own_noise, dataset))
 
 
 def _climbed(dataset: Dataset, fitted: FittedModel, best: int) -> float:
@@ -80,7 +82,7 @@ def _climbed(dataset: Dataset, fitted: FittedModel, best: int) -> float:
 
     def settled(k: int) -> float:
         if k not in total:
-            total[k] = dataset.settled(_with(dataset, fitted, INPUT_SHARES[k])[1]).total
+            total[k] = refit_with_noise(dataset, _with(dataset, fitted, INPUT_SHARES[k])[1]).total
         return total[k]
 
     while (near := max((k for k in (best, best + 1, best - 1) if 0 <= k < len(INPUT_SHARES)), key=settled)) != best:

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import NotStaticError
+from bristle.diagnosis.estimation.dataset import Motion, Segments
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, moved
 from bristle.diagnosis.estimation.noise import Noise, response
 from bristle.diagnosis.estimation.optimiser import STOP_GAIN
-from bristle.diagnosis.estimation.segments import Motion, Segments
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free, Servo
 from bristle.model.python import for_arrays
 from bristle.plant.effects import effect as find_effect
@@ -168,14 +168,14 @@ class Balance:
 
         Levenberg-Marquardt; segments have a t distribution, as in the simulation.
         """
-        best = self._at(law, effects, free, {**values, **{f.name: f.inside(values[f.name]) for f in free}})
+        best = self._at(law, effects, free, {**values, **{f.name: f.clip(values[f.name]) for f in free}})
         damping = BALANCE_DAMPING
         for _ in range(steps):
             found, slopes = best
             normal = np.einsum("s,snp,snq->pq", found.weight, slopes, slopes, optimize=True)
             pull = np.einsum("s,snp,sn->p", found.weight, slopes, found.residual, optimize=True)
             scale = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
-            active = np.array([not _leaves(f, found.values[f.name], p) for f, p in zip(free, pull, strict=True)], dtype=bool)
+            active = np.array([not f.leaves(found.values[f.name], p) for f, p in zip(free, pull, strict=True)], dtype=bool)
             if not active.any():
                 break
             step = np.zeros(len(free))
@@ -274,10 +274,6 @@ class BalancedModel:
 
 def _white(bins: int, level: float) -> Noise:
     return Noise(np.eye(bins) / level, 2 * bins * math.log(level), 0.0, 1.0, level)
-
-
-def _leaves(free: Free, value: float, pull: float) -> bool:
-    return bool((value <= free.low and pull < 0) or (value >= free.high and pull > 0))
 
 
 @lru_cache(maxsize=64)

@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.estimation.segments import Piece, Segments
+from bristle.diagnosis.estimation.dataset import Piece, Segments
 from bristle.model.native import Native, pointer
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import LOAD_STARTS, servo_program
@@ -21,11 +21,20 @@ from bristle.plant.servo import LOAD_STARTS, servo_program
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEADERS = {"theta_load": "theta", "v_load": "v"}  # the far side of a coupling moves along when a segment starts anew
+LEADERS = {"theta_load": "theta", "v_load": "v"}  # state of the load: state of the motor with which a segment sets it
 START_STATES = ("theta_start", "v_start")
-LOAD_STATES = tuple(p.name for p in LOAD_STARTS)  # of a load that can move by itself: how far it is behind, and how much slower
-LOAD_SPEED_SHARE = 0.3  # of the usual speed: how much slower a loose load usually is
-LEAST_PLAY = 1e-9  # rad
+LOAD_STATES = tuple(p.name for p in LOAD_STARTS)  # initial states of a load with free play: how far and how much slower it lags
+LOAD_SPEED_SHARE = 0.3  # of the rms speed: standard deviation of that lag of a load's speed
+LEAST_PLAY = 1e-9  # rad: least half play by which a load's place is divided
+OWN_BRISTLES = "bristle_damping"  # effect that gives rigid friction the small deflection of every real servo
+BRISTLE_EFFECTS = ("presliding", "bristle_damping")  # effects with a deflection that the sensor resolves
+START_FACTOR = 300.0  # largest factor between a positive parameter and its start value
+SEARCH_LIMITS = {  # narrower than what can be simulated: what a servo may have
+    "stribeck.excess": (0.0, 100.0),
+    "compliance.share": (0.02, 0.9),
+    "backlash.share": (0.02, 0.9),
+    "backlash.dissipation": (1e-3, 1e3),
+}
 
 
 @lru_cache(maxsize=1)
@@ -73,8 +82,8 @@ class Simulator:
         self, law: str, effects: Sequence[str], segments: Segments, base: Sequence[str], fixed: Mapping[str, float]
     ) -> None:
         self.segments, self.effects = segments, tuple(effects)
-        self.loose = play_parameter(effects)
-        self.width = len(START_STATES) + (len(LOAD_STATES) if self.loose else 0)
+        self.play = play_parameter(effects)
+        self.width = len(START_STATES) + (len(LOAD_STATES) if self.play else 0)
         self._native = _compiled(law, tuple(sorted(effects)), segments.velocity, tuple(base))
         self._natives = [self._native.twin() for _ in segments.pieces]  # its own: another diagnosis may run beside this one
         program = self._native.program
@@ -92,7 +101,7 @@ class Simulator:
         self._column = np.array([len(self.names) + (name == "v") for name in chosen], dtype=np.int32)
         self._leader = np.array([chosen.index(f) if f in chosen else -1 for f in follow], dtype=np.int32)
         self._chosen = slice(1 if segments.velocity else 0, self.width)
-        pairs = [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()] if self.loose else []
+        pairs = [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()] if self.play else []
         self._load, self._motor = (np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1))
         self._apart = len(self.names) + len(START_STATES) + np.arange(len(pairs), dtype=np.int32)
         self._input = np.array([program.index["u"]], dtype=np.int32)
@@ -107,15 +116,15 @@ class Simulator:
                 other._v[index[name]] *= factor
         return other
 
-    def unknown(self, values: Mapping[str, float]) -> Array:
+    def hidden_spread(self, values: Mapping[str, float]) -> Array:
         """Return the standard deviations (width - 2,) of the start states that no sensor shows; all are about zero.
 
         A load may be anywhere within its play, and beyond it as far as the usual torque bends the contact.
         """
-        if not self.loose:
+        if not self.play:
             return np.empty(0)
         u, v = self._usual
-        bend = abs(values["b"]) * u / self._value(f"{self.loose.split('.')[0]}.stiffness", values)
+        bend = abs(values["b"]) * u / self._value(f"{self.play.split('.')[0]}.stiffness", values)
         return np.array([1.0 + bend / self._half(values), LOAD_SPEED_SHARE * v + 1e-9])
 
     @cached_property
@@ -125,7 +134,7 @@ class Simulator:
         return float(np.sqrt(np.mean(np.square(inputs)))), float(np.sqrt(np.mean(np.square(self.segments.starts[:, 1]))))
 
     def _half(self, values: Mapping[str, float]) -> float:
-        return max(0.5 * self._value(self.loose, values), LEAST_PLAY)
+        return max(0.5 * self._value(self.play, values), LEAST_PLAY)
 
     def _value(self, name: str, values: Mapping[str, float]) -> float:
         return float(values.get(name, self._v[self._native.program.index[name]]))
@@ -150,7 +159,7 @@ class Simulator:
         pieces = self.segments.pieces
         given = np.full((len(starts), self.width), np.nan)
         given[:, : starts.shape[1]] = starts[:, : self.width]
-        if self.loose:
+        if self.play:
             given[:, 2] *= self._half(values)
         begins = np.split(given, np.cumsum([len(piece.seen) for piece in pieces])[:-1])
         together = _pool().map if len(pieces) > 1 else map  # records do not depend on each other
@@ -160,7 +169,7 @@ class Simulator:
 
         found = [np.concatenate(parts) for parts in zip(*together(one, self._natives, pieces, begins), strict=True)]
         seen, sens, good, begun = found
-        if self.loose:
+        if self.play:
             self._over_play(values, begun, sens if jacobian else None)
         return seen, sens if jacobian else None, good, begun
 
@@ -169,7 +178,7 @@ class Simulator:
         half, place = self._half(values), len(self.names) + 2
         starts[:, 2] /= half
         if sens is not None:
-            sens[:, :, self.names.index(self.loose)] += 0.5 * sens[:, :, place] * starts[:, 2, None]
+            sens[:, :, self.names.index(self.play)] += 0.5 * sens[:, :, place] * starts[:, 2, None]
             sens[:, :, place] *= half
 
     def _piece(
@@ -200,19 +209,6 @@ class Simulator:
         return seen, sens, good.astype(bool), begun
 
 
-OWN_BRISTLES = "bristle_damping"  # friction of a real servo bends a little before it slides: part of every model here
-BRISTLE_EFFECTS = ("presliding", "bristle_damping")  # effects that bend more than the sensor can overlook
-
-
-START_FACTOR = 300.0  # a parameter that is never zero may move away from its start by this factor
-SEARCH_LIMITS = {  # closer than what can be simulated: what a servo may have
-    "stribeck.excess": (0.0, 100.0),
-    "compliance.share": (0.02, 0.9),
-    "backlash.share": (0.02, 0.9),
-    "backlash.dissipation": (1e-3, 1e3),
-}
-
-
 @dataclass(frozen=True)
 class Free:
     """A parameter that is fitted: its interval, whether it moves by factors, and (optional) what is known beforehand.
@@ -228,23 +224,31 @@ class Free:
     doubt: float = 1.0
 
     @property
-    def usual(self) -> float:
-        """The value that is known beforehand, in its unit."""
+    def nominal_value(self) -> float:
+        """The prior mean, in its unit."""
         assert self.nominal is not None
         return float(np.exp(self.nominal)) if self.factor else self.nominal
 
-    def inside(self, value: float) -> float:
+    def scaled(self, value: float) -> float:
+        """Return a value on the scale of the parameter's steps: its logarithm if it moves by factors."""
+        return float(np.log(value)) if self.factor else value
+
+    def clip(self, value: float) -> float:
         """Return the value moved into the interval."""
         return min(max(value, self.low), self.high)
 
-    def stuck(self, value: float) -> bool:
+    def leaves(self, value: float, step: float) -> bool:
+        """True if a step from an end of the interval leads out of it."""
+        return bool((value <= self.low and step < 0) or (value >= self.high and step > 0))
+
+    def at_bound(self, value: float) -> bool:
         """True at an end of the interval."""
         near = 1e-9 * min(self.high - self.low, abs(self.low) + 1.0), 1e-9 * abs(self.high)
         return bool(value <= self.low + near[0] or value >= self.high - near[1])
 
-    def barred(self, value: float) -> bool:
-        """True at an end of the interval that holds it back; none at all, 0, is no such end."""
-        return self.stuck(value) and value != 0.0
+    def at_binding_bound(self, value: float) -> bool:
+        """True at an end of the interval other than 0, where the parameter is merely absent."""
+        return self.at_bound(value) and value != 0.0
 
     def widened(self, factor: float) -> Free:
         """Return the same with both ends farther out by a factor; an end at 0 stays."""
@@ -286,7 +290,7 @@ class Servo:
         """True if an effect brings bristles that are as stiff as the servo's own: what bends no more is no effect."""
         if name not in BRISTLE_EFFECTS or not self.rigid:
             return False
-        return values[f"{name}.stiffness"] >= next(f.usual for f in self.free if f.name == f"{OWN_BRISTLES}.stiffness")
+        return values[f"{name}.stiffness"] >= next(f.nominal_value for f in self.free if f.name == f"{OWN_BRISTLES}.stiffness")
 
 
 def has_free_play(name: str) -> bool:

@@ -1,25 +1,36 @@
-"""How far the parameters are known."""
+"""Covariance and confidence intervals of the fitted parameters."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
-from bristle.diagnosis.estimation.optimiser import NONSMOOTH_SPREADS, nonsmooth_parameters, perturbed
+from bristle.diagnosis.estimation.optimiser import NONSMOOTH_SPREADS, nonsmooth_parameters, perturbed, perturbed_values
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free, has_free_play
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report import result as answer
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
 Array = NDArray[np.float64]
-INTERVAL_FACTOR, EDGE_INTERVAL_FACTOR = 2.0, 5.0  # than what the spread of scores gives for an interval
-PARABOLA_TRIALS = 6  # values around the fit for each coefficient of the parabola that stands for a likelihood with many maxima
-CONTACT_SPREAD = 0.05  # how far around, where a contact is one of them: its likelihood is a parabola no further
-WIDEST_HALF_INTERVAL = 1.0  # a factor of e, or a second: half of the widest interval that it can give
+INTERVAL_FACTOR = 2.0  # ratio of an interval's width to the one that the covariance gives
+EDGE_INTERVAL_FACTOR = 5.0  # the same for effects that act beyond a place or a level only, and for couplings
+PARABOLA_TRIALS = 6  # evaluations for each coefficient of the parabola through a nonsmooth likelihood
+CONTACT_SPREAD = 0.05  # relative: spread of these evaluations if a load has free play
+WIDEST_HALF_INTERVAL = 1.0  # factor of e, or s: widest half interval that the parabola gives
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a limit."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None
+    at_bound: bool = False
 
 
 def covariance(fit: Fit) -> Array:
@@ -34,11 +45,11 @@ def covariance(fit: Fit) -> Array:
 
 
 def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[str, float]:
-    """Return half the width of the intervals of parameters of effects that switch, on the scale that `perturbed` moves them on.
+    """Return half the width of the intervals of parameters of nonsmooth effects, on the scale of `perturbed`.
 
-    Their likelihood is full of small maxima, at any of which a fit may end; a derivative at one of them says nothing of the
-    others. So a parabola is laid through the likelihood of values all around, and an interval is as wide as it takes to
-    fall by what the likelihood's own unevenness, twice its standard deviation, may add to the usual fall.
+    Their likelihood has many small maxima, and its derivative at one of them does not describe the others. A parabola is
+    fitted to the likelihood of random values around the fit; the interval is where it falls by the usual amount plus twice
+    the standard deviation of the residuals of the parabola.
 
     Source: box1951 (response surface).
     """
@@ -46,10 +57,7 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
     pairs = [(i, j) for i in range(k) for j in range(i, k)]
     wide = np.array([CONTACT_SPREAD if has_free_play(f.name.split(".")[0]) else NONSMOOTH_SPREADS[0] for f in own])
     steps = wide * np.random.default_rng(3).standard_normal((PARABOLA_TRIALS * (1 + k + len(pairs)), k))
-    totals = []
-    for step in steps:
-        near = {f.name: f.inside(perturbed(f.name, fit.values[f.name], d)) for f, d in zip(own, step, strict=True)}
-        totals.append(evaluate(problem, fit.simulator, (), {**fit.values, **near}, fit.starts).total)
+    totals = [evaluate(problem, fit.fixed().at(perturbed_values(fit.values, own, step))).total for step in steps]
     columns = np.column_stack([np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)])
     found = np.linalg.lstsq(columns, np.array(totals), rcond=None)[0]
     uneven = math.sqrt(float(np.square(totals - columns @ found).sum()) / (len(steps) - len(found)))
@@ -57,17 +65,17 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
     for (i, j), c in zip(pairs, found[1 + k :], strict=True):
         curvature[i, j] -= c
         curvature[j, i] -= c
-    fall_ = 0.5 * (1.96 * INTERVAL_FACTOR) ** 2 + 2 * uneven
+    fall = 0.5 * (1.96 * INTERVAL_FACTOR) ** 2 + 2 * uneven
     values, vectors = np.linalg.eigh(curvature)
-    inverse = (vectors / np.maximum(values, 2 * fall_ / WIDEST_HALF_INTERVAL**2)) @ vectors.T
-    return {f.name: float(min(math.sqrt(2 * fall_ * inverse[i, i]), WIDEST_HALF_INTERVAL)) for i, f in enumerate(own)}
+    inverse = (vectors / np.maximum(values, 2 * fall / WIDEST_HALF_INTERVAL**2)) @ vectors.T
+    return {f.name: float(min(math.sqrt(2 * fall * inverse[i, i]), WIDEST_HALF_INTERVAL)) for i, f in enumerate(own)}
 
 
-def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[str, answer.Estimate]:
-    """Return the free parameters with their 95 % intervals, as wide as development records showed that they must be,
-    within what each may be.
+def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[str, Estimate]:
+    """Return the free parameters with their 95 % intervals, within what each parameter may be.
 
-    With a problem, those of effects that switch are looked for all around.
+    The intervals are wider than the covariance gives by factors found on development records. With a problem, those of
+    nonsmooth effects are taken from `parabola_half_widths` if these are wider.
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
     own = nonsmooth_parameters(fit, all_effects()) if problem is not None else []
@@ -82,12 +90,11 @@ def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[st
             ends += [perturbed(f.name, value, side * wide_at[f.name]) for side in (-1, 1)]
         low, high = model.allowed(f.name)
         ci95 = float(max(min(ends), low)), float(min(max(ends), high))
-        found[f.name] = answer.Estimate(float(value), model.unit(f.name), ci95, f.stuck(value))
+        found[f.name] = Estimate(float(value), model.unit(f.name), ci95, f.at_bound(value))
     return found
 
 
 def _has_edges(parameter: str) -> bool:
-    """True for parameters of effects that begin at a place or a level, where the likelihood is no parabola, and of couplings,
-    whose resonance the records know better than any step of a simulation shows it."""
+    """True for parameters of effects that act beyond a place or a level, whose likelihood is no parabola, and of couplings."""
     name = parameter.split(".")[0]
     return name in all_effects() and (find_effect(name).local or find_effect(name).coupling is not None)

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from bristle.common.errors import BristleError, RestartError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import check
-from bristle.diagnosis.estimation.dataset import Dataset, fit_from_several_starts
-from bristle.diagnosis.estimation.likelihood import Fit, evaluate, mean_square
+from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
+from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
+from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import Noise
 from bristle.diagnosis.estimation.optimiser import refit
-from bristle.diagnosis.estimation.segments import STATE_SMOOTHING, Segments, smooth
 from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
@@ -215,7 +215,7 @@ def _twin(model: Model, dataset: Dataset, copy: Dataset) -> EquivalentServo:
     """Fit a servo to the FMU (`copy`), and take what is left out of what was measured."""
     servo, values = base_servo_of(model, copy)
     fit = _fitted(copy, servo, values)
-    barred = any(f.barred(fit.values[f.name]) for f in servo.free if f.name in model.bounds)
+    barred = any(f.at_binding_bound(fit.values[f.name]) for f in servo.free if f.name in model.bounds)
     if barred:  # an FMU may be anything, and is followed there
         free = tuple(f.widened(FMU_BOUND_FACTOR) if f.name in model.bounds else f for f in servo.free)
         fit = _fitted(copy, replace(servo, free=free), fit.values)
@@ -226,8 +226,8 @@ def _twin(model: Model, dataset: Dataset, copy: Dataset) -> EquivalentServo:
         first += n
     corrected = replace(dataset, segments=replace(dataset.segments, pieces=tuple(pieces)))
     judged = corrected.segments.judged
-    problem = corrected.problem(_white(corrected, 1.0), judged)
-    measured = evaluate(problem, fit.simulator, fit.free, fit.values, corrected.segments.starts)
+    problem = Problem.of(corrected.segments, _white(corrected, 1.0), judged)
+    measured = evaluate(problem, fit.at(starts=corrected.segments.starts))
     error, gap = (math.sqrt(mean_square(each, judged)) for each in (fit, measured))
     return EquivalentServo(corrected, fit.values, error, gap)
 
@@ -235,10 +235,12 @@ def _twin(model: Model, dataset: Dataset, copy: Dataset) -> EquivalentServo:
 def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
     """Fit a servo to the FMU by plain least squares: an FMU has no noise, and no segment of it is an accident."""
     judged, simulator = copy.segments.judged, servo.simulator(copy.segments)
-    fit = evaluate(copy.problem(_white(copy, 1.0), judged), simulator, servo.free, dict(values), copy.segments.starts)
+    fit = evaluate(
+        Problem.of(copy.segments, _white(copy, 1.0), judged), Point(simulator, servo.free, dict(values), copy.segments.starts)
+    )
     for _ in range(FMU_FIT_ROUNDS):
-        problem = copy.problem(_white(copy, math.sqrt(mean_square(fit, judged))), judged)
-        fit = refit(problem, simulator, servo.free, fit.values, fit.starts)
+        problem = Problem.of(copy.segments, _white(copy, math.sqrt(mean_square(fit, judged))), judged)
+        fit = refit(problem, fit)
     return fit
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.estimation.segments import Motion
+from bristle.diagnosis.estimation.dataset import Motion
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.diagnosis.localisation.views import clocks, hats
 

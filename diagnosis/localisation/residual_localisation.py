@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from scipy.stats import f as f_ratio
 
-from bristle.diagnosis.estimation.dataset import Dataset, FittedModel
+from bristle.diagnosis.estimation.dataset import Dataset, Motion
+from bristle.diagnosis.estimation.fitted_model import FittedModel
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM
-from bristle.diagnosis.estimation.segments import Motion
 from bristle.diagnosis.localisation.residual_response import ResidualResponse, chance, response_of
 from bristle.diagnosis.localisation.views import Share, _waves, bases, clocks
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.estimation.dataset import Dataset, FittedModel
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import FittedModel
 from bristle.diagnosis.estimation.likelihood import Fit, Problem
 from bristle.diagnosis.estimation.noise import response
 
@@ -24,7 +25,7 @@ class ResidualResponse:
         self._seen = problem.noise.whiten @ self._pulses
         self._cover, self._starts = np.linalg.inv(problem.noise.whiten), fit.raw_by_start
         self.weight = fit.weight
-        self.freed = fit.begin.freed
+        self.freed = fit.elimination.project
         self.model = self.freed(fit.by_parameter)
         self.rest = self.freed(fit.white[:, :, None])[:, :, 0]
         weighted = self.model * fit.weight[:, None, None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bristle.diagnosis.estimation.dataset import LARGE_DISTURBANCE
+from bristle.diagnosis.estimation.fitted_model import LARGE_DISTURBANCE
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS, SENSOR_VIEWS
 from bristle.diagnosis.localisation.views import Share, is_form, is_same, periods_of
 from bristle.diagnosis.report import result as answer

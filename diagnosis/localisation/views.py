@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.estimation.segments import Motion
+from bristle.diagnosis.estimation.dataset import Motion
 
 Array = NDArray[np.float64]
 VIEW_KNOTS = 9

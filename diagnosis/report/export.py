@@ -68,7 +68,7 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
         own = diagnosis.choice_parameters.get(choose, own)  # and what was named before, as it is beside that
         found = {name: {key: own.get(f"{name}.{key}", e) for key, e in each.items()} for name, each in found.items()}
         found |= {choose: diagnosis.choices[choose]}
-    model = _refitted(diagnosis.model, own or diagnosis.base, found)
+    model = refit_rescored(diagnosis.model, own or diagnosis.base, found)
     return Augmented(model, tuple(model.effects), tuple(found), _settings(model))
 
 
@@ -92,7 +92,7 @@ def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
     return next((tie for tie in diagnosis.ties if name in tie), ())
 
 
-def _refitted(model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]) -> Model:
+def refit_rescored(model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]) -> Model:
     """Return the model with fitted values; its bounds give way where a value lies outside, so that the file reads back."""
     values = {**model.parameters, **{name: e.value for name, e in own.items() if name in model.parameters}}
     bounds = {name: (min(low, values[name]), max(high, values[name])) for name, (low, high) in model.bounds.items()}

@@ -9,18 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.output import plain
+from bristle.diagnosis.estimation.uncertainty import Estimate as Estimate
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A fitted parameter in SI with its 95 % interval; `at_bound` where the fit ended at a limit."""
-
-    value: float
-    unit: str
-    ci95: tuple[float, float] | None
-    at_bound: bool = False
 
 
 @dataclass(frozen=True)

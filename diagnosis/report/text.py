@@ -127,7 +127,7 @@ def _limit(c: Candidate, null: Null, model: Model) -> str:
     if c.fit is None or not proportional or strength.name not in [f.name for f in c.fit.free]:
         return f"tried, and no trace of it; {shows}"
     place = [f.name for f in c.fit.free].index(strength.name)
-    if others := c.fit.alike(place):
+    if others := c.fit.collinear_with(place):
         return f"these records cannot tell it from {', '.join(others)}; {shows}"
     spread = float(np.linalg.pinv(c.fit.information, rcond=1e-12, hermitian=True)[place, place])
     limit = math.sqrt(2 * null.level(c.name) * max(spread, 0.0))

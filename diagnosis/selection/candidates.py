@@ -13,8 +13,8 @@ from bristle.diagnosis.estimation.likelihood import Fit, Problem, rescored
 from bristle.diagnosis.estimation.optimiser import (
     FIT_ITERATIONS,
     ROUGH_STOP_GAIN,
-    _refitted,
     refit_nonsmooth,
+    refit_rescored,
     resume,
     value_under_noise,
 )
@@ -109,7 +109,7 @@ class Candidate:
 def _reached(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
     """Return what steps have led to as `value_under_noise` does; a loose load is laid anew, where a step
     promises what none can keep."""
-    if not fit.simulator.loose:
+    if not fit.simulator.play:
         return value_under_noise(fit, quiet)
     fit = initialise_load(quiet(fit), fit, REFINEMENT_STEPS)
     fit = rescored(quiet(fit), fit)
@@ -126,7 +126,7 @@ def advance_candidate(candidate: Candidate, quiet: Callable[[Fit], Problem], lea
     if (still and not effort.all) or (loose and beyond < -CONTACT_DEFICIT):
         return replace(candidate, rivals=())
     assert candidate.fit is not None
-    several = candidate.rivals if effort.all or beyond > 0 or candidate.fit.simulator.loose else ()
+    several = candidate.rivals if effort.all or beyond > 0 or candidate.fit.simulator.play else ()
     climbs = 1 if loose else CLIMB_REPEATS
     ends = [_reached(_climbed(t, quiet, least, effort.steps, climbs), quiet) for t in (candidate.fit, *several)]
     promised, fit = max(ends, key=lambda end: end[0])
@@ -137,14 +137,14 @@ def refit_to_end(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by:
     """Refit a candidate from where it stands; what switches under the noise that it leaves (`left_by`), which matters then."""
     if candidate.fit is None:
         return candidate
-    fit = refit_nonsmooth(_refitted(candidate.fit, quiet, FIT_ITERATIONS), left_by, (candidate.name,))
+    fit = refit_nonsmooth(refit_rescored(candidate.fit, quiet, FIT_ITERATIONS), left_by, (candidate.name,))
     return replace(candidate, fit=rescored(quiet(fit), fit))
 
 
 def _climbed(fit: Fit, quiet: Callable[[Fit], Problem], least: float, steps: int, climbs: int) -> Fit:
     """Return where steps lead from a start, so many at a time, as far as they promise to reach `least` [nats]."""
     for _ in range(climbs):
-        start, fit = fit.total, _refitted(fit, quiet, steps)
+        start, fit = fit.total, refit_rescored(fit, quiet, steps)
         if not 0 < least - fit.total < 2 * (fit.total - start):
             break
     return fit
@@ -152,4 +152,4 @@ def _climbed(fit: Fit, quiet: Callable[[Fit], Problem], least: float, steps: int
 
 def refit_candidate(problem: Problem, candidate: Candidate) -> Candidate:
     """Refit a candidate from where it stands, under whatever noise and judged segments the problem has."""
-    return candidate if candidate.fit is None else replace(candidate, fit=resume(problem, candidate.fit, enough=ROUGH_STOP_GAIN))
+    return candidate if candidate.fit is None else replace(candidate, fit=resume(problem, candidate.fit, stop_gain=ROUGH_STOP_GAIN))

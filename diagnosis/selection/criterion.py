@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.estimation.dataset import TIE_NATS, Dataset, FittedModel
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import TIE_NATS, FittedModel, refit_with_noise, under_own_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_initial_states, refit_nonsmooth, resume
 from bristle.diagnosis.selection.candidates import Candidate, Test, refit_candidate
@@ -79,7 +80,7 @@ def accept_or_reject(
     beyond = _inside(fitted, beyond)
     best = max(beyond, key=lambda c: c.merit)
     contenders = [c for c in beyond if c.gain_over(fitted.fit) > CONTENDER_SHARE * best.gain_over(fitted.fit)]
-    contenders = [replace(c, fit=dataset.settled(c.fit)) for c in contenders if c.fit]
+    contenders = [replace(c, fit=refit_with_noise(dataset, c.fit)) for c in contenders if c.fit]
     best = max(contenders, key=lambda c: c.merit)
     problem, contenders = _under_best_noise(dataset, fitted, best, contenders)
     contenders = _inside(fitted, contenders)
@@ -97,7 +98,7 @@ def accept_or_reject(
         others = [c for c in sound if _close(leader, c, far[c.name])]
     leader = max(others or [leader], key=lambda c: c.merit)
     gain, test = leader.gain_over(plain), tests[leader.name]
-    ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(dataset.narrow), gain, tests))
+    ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(dataset.poor_excitation), gain, tests))
     told = {c.name: replace(c, test=replace(tests[c.name], behind=likelihood_difference(leader, c))) for c in contenders}
     assert leader.fit is not None
     return SearchRound(
@@ -115,8 +116,8 @@ def _plain(problem: Problem, fitted: FittedModel, best: Candidate) -> Fit:
     assert best.fit is not None
     old = fitted.fit
     values = {name: best.fit.values.get(name, value) for name, value in old.values.items()}
-    led = refit(problem, old.simulator, old.free, values, best.fit.starts, enough=ROUGH_STOP_GAIN)
-    better = max((resume(problem, old, enough=ROUGH_STOP_GAIN), led), key=lambda each: each.total)
+    led = refit(problem, old.at(values, best.fit.starts), stop_gain=ROUGH_STOP_GAIN)
+    better = max((resume(problem, old, stop_gain=ROUGH_STOP_GAIN), led), key=lambda each: each.total)
     return refit_nonsmooth(better, lambda fit: problem, old.simulator.effects)
 
 
@@ -132,7 +133,7 @@ def _under_best_noise(
     problem = fitted.problem
     for _ in range(3):
         assert leader.fit is not None
-        problem = dataset.left_by(leader.fit)
+        problem = under_own_noise(dataset, leader.fit)
         contenders = [refit_candidate(problem, c) for c in contenders]
         best = max(contenders, key=lambda c: c.merit)
         same, leader = best.name == leader.name, best

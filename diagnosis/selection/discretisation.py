@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
-from bristle.diagnosis.estimation.optimiser import refit
+from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
+from bristle.diagnosis.estimation.optimiser import maximise
 
 STEP_SHARE = 0.2  # of a gain: what falls more with the step of the simulation is not named
 LASTING_LEVELS, VANISHED_SHARE = 3.0, 0.5  # unless so many times the null's level is left, and this share of the gain
@@ -16,11 +16,11 @@ def finer_gain(problem: Problem, plain: Fit, best: Fit) -> float:
     Both are evaluated where they stand, and refitted only if that moves the gain by more than `STEP_SHARE`.
     """
     known = best.total - plain.total
-    fine = [evaluate(problem, fit.simulator.finer(), fit.free, fit.values, fit.starts) for fit in (plain, best)]
+    fine = [evaluate(problem, Point(fit.simulator.finer(), fit.free, fit.values, fit.starts)) for fit in (plain, best)]
     gain = fine[1].total - fine[0].total
     if steady(known, gain):
         return gain
-    fine = [refit(problem, fit.simulator, fit.free, fit.values, fit.starts, FINE_REFIT_STEPS, fit) for fit in fine]
+    fine = [maximise(problem, fit, FINE_REFIT_STEPS) for fit in fine]
     return fine[1].total - fine[0].total
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
-from bristle.diagnosis.estimation.dataset import NOISE_FIT_ITERATIONS, Dataset, FittedModel
-from bristle.diagnosis.estimation.likelihood import evaluate, rescored, squares
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import NOISE_FIT_ITERATIONS, FittedModel, refit_with_noise, under_own_noise
+from bristle.diagnosis.estimation.likelihood import Point, evaluate, rescored, squares
 from bristle.diagnosis.estimation.optimiser import predicted_gain, refit, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, free_parameters, inactive_values
 from bristle.diagnosis.localisation.views import is_form, periods_of
@@ -31,16 +33,19 @@ def with_candidate(fitted: FittedModel, dataset: Dataset, best: Candidate) -> Fi
     assert best.fit is not None
     rigid = fitted.servo.rigid and best.name not in BRISTLE_EFFECTS
     servo = replace(fitted.servo, effects=(*fitted.servo.effects, best.name), free=best.fit.free, rigid=rigid)
-    return FittedModel(servo, dataset.left_by(best.fit), best.fit)
+    return FittedModel(servo, under_own_noise(dataset, best.fit), best.fit)
 
 
 def add_effect(fitted: FittedModel, dataset: Dataset, best: Candidate, level: float) -> FittedModel:
     """Return the servo with an effect added, its noise settled; `level` is the gain that chance gives [nats]."""
     fitted = with_candidate(fitted, dataset, best)
-    fit = dataset.settled(
-        refit_nonsmooth(resume(fitted.problem, fitted.fit, NOISE_FIT_ITERATIONS), dataset.left_by, fitted.servo.effects)
+    fit = refit_with_noise(
+        dataset,
+        refit_nonsmooth(
+            resume(fitted.problem, fitted.fit, NOISE_FIT_ITERATIONS), partial(under_own_noise, dataset), fitted.servo.effects
+        ),
     )
-    problem = dataset.left_by(fit)
+    problem = under_own_noise(dataset, fit)
     return refit_shape(replace(fitted, problem=problem, fit=resume(problem, fit)), dataset, best.name, level)
 
 
@@ -57,22 +62,24 @@ def refit_shape(fitted: FittedModel, dataset: Dataset, name: str, level: float) 
     for start in effect.form:
         servo = replace(fitted.servo, free=(*fitted.servo.free, *free_parameters(name, start, fitted.servo.limits)))
         values = {**old.values, **{f"{name}.{short}": value for short, value in start.items()}}
-        begun = evaluate(fitted.problem, old.simulator, servo.free, values, old.starts)
+        begun = evaluate(fitted.problem, Point(old.simulator, servo.free, values, old.starts))
         # a coupling shows what its form is worth only when all of it has moved
         if effect.coupling or begun.total + predicted_gain(begun) > old.total + level:
-            fit = refit_nonsmooth(resume(fitted.problem, begun, NOISE_FIT_ITERATIONS), dataset.left_by, servo.effects)
+            fit = refit_nonsmooth(
+                resume(fitted.problem, begun, NOISE_FIT_ITERATIONS), partial(under_own_noise, dataset), servo.effects
+            )
             ends.append(FittedModel(servo, fitted.problem, rescored(fitted.problem, fit)))
     if not ends:
         return fitted
     best = max(ends, key=lambda end: end.fit.total)
-    fit = dataset.settled(best.fit)
-    problem = dataset.left_by(fit)
+    fit = refit_with_noise(dataset, best.fit)
+    problem = under_own_noise(dataset, fit)
     fit = resume(problem, fit)
-    if any(f.stuck(fit.values[f.name]) for f in best.servo.free if f.name in bending):
+    if any(f.at_bound(fit.values[f.name]) for f in best.servo.free if f.name in bending):
         return fitted
     usual = stood = rescored(problem, old)
     if effect.coupling:  # what a form gains by leaving a small maximum is not its own
-        led = evaluate(problem, old.simulator, old.free, {**fit.values, **inactive_values(name)}, fit.starts)
+        led = evaluate(problem, old.at({**fit.values, **inactive_values(name)}, fit.starts))
         led = refit_nonsmooth(resume(problem, led, NOISE_FIT_ITERATIONS), lambda _: problem, fitted.servo.effects)
         usual = max(stood, led, key=lambda each: each.total)
     if fit.total - usual.total > max(SURE_LEVELS * level, SHAPE_NATS) and shape_is_distinct(name, fit.values):
@@ -116,7 +123,9 @@ def _without(fitted: FittedModel, dataset: Dataset, base: FittedModel, name: str
         f.name: base.fit.values[f.name] for f in own if rigid and OWN_BRISTLES in f.name
     }
     problem = fitted.problem
-    return FittedModel(servo, problem, refit(problem, servo.simulator(dataset.segments), servo.free, values, fitted.fit.starts))
+    return FittedModel(
+        servo, problem, refit(problem, Point(servo.simulator(dataset.segments), servo.free, values, fitted.fit.starts))
+    )
 
 
 def mends_form(dataset: Dataset, fitted: FittedModel, best: Candidate) -> bool:

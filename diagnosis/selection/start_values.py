@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.dataset import Dataset, Motion
 from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.inverse_dynamics import (
     BALANCE_SCREENING_ITERATIONS,
@@ -16,9 +16,8 @@ from bristle.diagnosis.estimation.inverse_dynamics import (
     BalancedModel,
     Found,
 )
-from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
+from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
 from bristle.diagnosis.estimation.optimiser import value_under_noise
-from bristle.diagnosis.estimation.segments import Motion
 from bristle.diagnosis.estimation.simulator import (
     BRISTLE_EFFECTS,
     OWN_BRISTLES,
@@ -96,12 +95,12 @@ def evaluate_starts(
         return Candidate(name, None, refused=str(error))
     defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
     trials, banks, own = [], [], servo.own(name)
-    ease = REFINEMENT_STEPS if fit.simulator.loose else 0  # what a load did without the effect it does not do with it
+    ease = REFINEMENT_STEPS if fit.simulator.play else 0  # what a load did without the effect it does not do with it
     for start in (*start_values(name, e), *bristle_starts(servo, name, fit)):
         free = free_parameters(name, start, servo.limits)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
-        values |= {f.name: f.inside(values[f.name]) for f in free}
-        first = refine_initial_states(problem, evaluate(problem, simulator, (*own, *free), values, fit.starts), ease)
+        values |= {f.name: f.clip(values[f.name]) for f in free}
+        first = refine_initial_states(problem, evaluate(problem, Point(simulator, (*own, *free), values, fit.starts)), ease)
         banks.append(_bank(response, fit, first, len(free)))
         trials.append(value_under_noise(first, quiet))
     for together, moving in joint:
@@ -110,8 +109,8 @@ def evaluate_starts(
         # with the parameters of the balance, and with those of the simulated model: either may be the better neighbourhood
         for others, begin in ((dict(together), problem.starts), (alone, fit.starts)):
             whole = {**defaults, **fit.values, **others}
-            inside = {f.name: f.inside(whole[f.name]) for f in (*own, *free)}
-            first = evaluate(problem, simulator, (*own, *free), whole | inside, begin)
+            inside = {f.name: f.clip(whole[f.name]) for f in (*own, *free)}
+            first = evaluate(problem, Point(simulator, (*own, *free), whole | inside, begin))
             trials.append(value_under_noise(refine_initial_states(problem, first, ease), quiet))
     trials.sort(key=lambda trial: -trial[0])
     if (

@@ -10,8 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.checks.input_hold import must_be_held
-from bristle.diagnosis.estimation.dataset import Dataset, FittedModel, reduced_friction_start
-from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate, rescored
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import (
+    FittedModel,
+    balanced_model,
+    fits_poorly,
+    has_diverged,
+    has_outliers_or_disturbance,
+    reduced_friction_start,
+    under_own_noise,
+)
+from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, rescored
 from bristle.diagnosis.estimation.simulator import has_free_play
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
 from bristle.diagnosis.localisation.residual_response import ResidualResponse, response_of
@@ -69,16 +78,16 @@ def evaluate_candidates(
 
 def _tried(dataset: Dataset, fitted: FittedModel, names: Sequence[str], tell: Tell, effort: Effort) -> tuple[list[Candidate], Null]:
     """Return the named effects refitted as far as they are promising, and the null of the largest gain."""
-    fit, response, far = fitted.fit, response_of(fitted, dataset), dataset.far(fitted.fit)
+    fit, response, far = fitted.fit, response_of(fitted, dataset), fits_poorly(dataset, fitted.fit)
     e = evidence(dataset.motion, response, fit, dataset.resolution, dataset.turn)
     together = _together(dataset, fitted, e) if far else lambda name: ()
 
     def quiet(left: Fit) -> Problem:
-        return dataset.left_by(left) if far and left.weight.any() else fitted.problem
+        return under_own_noise(dataset, left) if far and left.weight.any() else fitted.problem
 
     def followed(name: str, effort: Effort) -> Candidate:
-        if name in dataset.barred:
-            return Candidate(name, None, refused=dataset.barred[name])
+        if name in dataset.excluded:
+            return Candidate(name, None, refused=dataset.excluded[name])
         begun = evaluate_starts(fitted.problem, fitted.servo, name, fit, response, e, quiet, together(name), far, effort)
         return advance_candidate(begun, quiet, fit.total, effort) if begun.fit else begun
 
@@ -99,7 +108,7 @@ def _tried(dataset: Dataset, fitted: FittedModel, names: Sequence[str], tell: Te
         return tried, null
     hopeful = sorted(hopeful, key=lambda c: -c.promised)[:MOST_REFITTED]
     chosen = {c.name for c in hopeful if c.promised - fit.total > FOLLOWED_SHARE * (hopeful[0].promised - fit.total)}
-    tried = [refit_to_end(c, quiet, dataset.left_by) if c.name in chosen else c for c in tried]
+    tried = [refit_to_end(c, quiet, partial(under_own_noise, dataset)) if c.name in chosen else c for c in tried]
     return tried, _null(fitted.problem, response, fit, tried)
 
 
@@ -110,19 +119,19 @@ def _together(dataset: Dataset, fitted: FittedModel, e: Evidence) -> Callable[[s
     that was fitted without what is missing has bent its parameters to make up for it. Where it runs away, they start from
     less dry friction too, where `e`, what the fitted model leaves, says.
     """
-    balanced = dataset.balanced(fitted)
+    balanced = balanced_model(dataset, fitted)
     given = partial(joint_starts, dataset, balanced) if balanced.models else _from_nominal(dataset, fitted)
     less = reduced_friction_start(fitted)
-    if not (less and dataset.away(fitted.fit)):
+    if not (less and has_diverged(dataset, fitted.fit)):
         return given
     return lambda name: [*given(name), *_jointly(less, name, start_values(name, e))]
 
 
 def _from_nominal(dataset: Dataset, fitted: FittedModel) -> Callable[[str], Sequence[Start]]:
     """Return what gives the starts of an effect together with the nominal model."""
-    nominal = {f.name: f.usual for f in fitted.servo.free if f.nominal is not None}
+    nominal = {f.name: f.nominal_value for f in fitted.servo.free if f.nominal is not None}
     values = {**fitted.fit.values, **nominal}
-    plain = evaluate(fitted.problem, fitted.fit.simulator, (), values, fitted.problem.starts)  # none to make up for it
+    plain = evaluate(fitted.problem, Point(fitted.fit.simulator, (), values, fitted.problem.starts))  # none to make up for it
     e = evidence(dataset.motion, response_of(replace(fitted, fit=plain), dataset), plain, dataset.resolution, dataset.turn)
 
     def begun(name: str) -> list[Start]:
@@ -181,7 +190,11 @@ def worth_adding(verdict: SearchRound, first: float) -> bool:
 
 def poor_fit(dataset: Dataset, fitted: FittedModel) -> bool:
     """True if a servo is far off, and not because a contact rattles: that is worth patience, if the motion tells effects apart."""
-    return dataset.odd(fitted.fit) and not dataset.narrow and not any(has_free_play(name) for name in fitted.servo.effects)
+    return (
+        has_outliers_or_disturbance(dataset, fitted.fit)
+        and not dataset.poor_excitation
+        and not any(has_free_play(name) for name in fitted.servo.effects)
+    )
 
 
 def propose_effect(
@@ -258,7 +271,7 @@ def search(dataset: Dataset, base: FittedModel, tell: Tell) -> tuple[FittedModel
         fitted, spared = backward_elimination(fitted, dataset, base, verdict.gain, level)
         dropped = f"; {', '.join(spared)} dropped: not needed any more" if spared else ""
         rounds.append(replace(verdict, decision=f"'{best.name}' added{dropped}", named=True))
-        if len(taken) - len(base.servo.effects) >= MOST_EFFECTS or dataset.narrow:
+        if len(taken) - len(base.servo.effects) >= MOST_EFFECTS or dataset.poor_excitation:
             break
         if not residual_has_structure(fitted, dataset, rounds[-1], taken):
             rounds[-1] = replace(rounds[-1], decision=f"{rounds[-1].decision}; no view and no effect shows anything beside")

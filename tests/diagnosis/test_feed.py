@@ -9,7 +9,7 @@ import pytest
 
 from bristle.diagnosis import diagnose, records_from_arrays
 from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING, NotHeldError, fed, must_be_held
-from bristle.diagnosis.estimation.dataset import fit_from_several_starts
+from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
 
 EVERY = 8  # sample of a drive that works at 1 kHz is logged
@@ -54,8 +54,8 @@ def test_an_input_that_was_held_stays(model, logged, name):
 def test_what_is_logged_as_fast_as_the_drive_works_is_not_asked(model, logged):
     dataset, base = begun(model, logged(every=1))
     assert dataset.segments.h < SLOW_SAMPLING
-    assert not dataset.doubtful
-    must_be_held(replace(dataset, doubtful=True), base)  # and would stay
+    assert not dataset.input_may_change
+    must_be_held(replace(dataset, input_may_change=True), base)  # and would stay
 
 
 def test_what_is_missing_is_named_alone_once_the_input_is_right(model, logged):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from bristle.diagnosis.estimation.fitted_model import relative_error, under_own_noise
 from bristle.diagnosis.estimation.initial_states import initialise_load, refine_initial_states
-from bristle.diagnosis.estimation.likelihood import Begin, evaluate, initial_state_price, rescored, squares
+from bristle.diagnosis.estimation.likelihood import Elimination, Point, evaluate, initial_state_price, rescored, squares
 from bristle.diagnosis.estimation.optimiser import refit, refit_initial_states, refit_load, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.estimation.uncertainty import covariance
@@ -69,13 +71,13 @@ def test_the_likelihood_is_highest_where_the_refit_ends(case):
     """Along every parameter, start states following."""
     plain = case(None)
     problem, best = plain.base.problem, plain.base.fit
-    best = refit(problem, best.simulator, best.free, best.values, best.starts)
+    best = refit(problem, best)
     slack = []
     for f in best.free:
         size = 1 / np.sqrt(best.information[best.free.index(f), best.free.index(f)])
         for sign in (1, -1):
             moved = best.values[f.name] * np.exp(sign * size) if f.factor else best.values[f.name] + sign * size
-            away = evaluate(problem, best.simulator, best.free, {**best.values, f.name: f.inside(moved)}, best.starts)
+            away = evaluate(problem, best.at({**best.values, f.name: f.clip(moved)}))
             slack.append(best.total - away.total)
     assert min(slack) > -0.1
 
@@ -84,7 +86,7 @@ def test_a_refit_comes_home_from_afar(case):
     plain = case(None)
     best = plain.base.fit
     away = {**best.values, "J": 0.02, "a2": 0.06, "coulomb.Fc": 0.05}
-    found = refit(plain.base.problem, best.simulator, best.free, away, plain.dataset.segments.starts, 30)
+    found = refit(plain.base.problem, best.at(away, plain.dataset.segments.starts), 30)
     for key in TRUE:
         assert found.values[key] == pytest.approx(best.values[key], rel=2e-3)
 
@@ -94,10 +96,7 @@ def test_no_step_makes_it_worse(case):
     best, gains = plain.base.fit, []
     for inertia, level in ((0.004, 0.3), (0.04, 0.02), (0.02, 0.4), (0.005, 0.01)):
         away = {**best.values, "J": inertia, "coulomb.Fc": level}
-        totals = [
-            refit(plain.base.problem, best.simulator, best.free, away, plain.dataset.segments.starts, count).total
-            for count in range(5)
-        ]
+        totals = [refit(plain.base.problem, best.at(away, plain.dataset.segments.starts), count).total for count in range(5)]
         assert totals == sorted(totals)
         gains.append(totals[-1] - totals[0])
     assert max(gains) > 100
@@ -109,7 +108,7 @@ def test_start_states_are_eliminated(case):
     problem, best = plain.base.problem, plain.base.fit
     rng = np.random.default_rng(4)
     moved = best.starts + 0.04 * problem.spread * rng.standard_normal(best.starts.shape)
-    away = evaluate(problem, best.simulator, best.free, best.values, moved)
+    away = evaluate(problem, best.at(starts=moved))
     bare = -0.5 * np.sum((np.square(away.white).sum(axis=1) - np.square(best.white).sum(axis=1))[problem.judged])
     assert bare < -50
     assert abs(away.total - best.total) < 0.02 * abs(bare)
@@ -121,7 +120,7 @@ def test_one_bad_segment_does_not_decide(case):
     seen = problem.seen.copy()
     bad = int(np.flatnonzero(problem.judged)[3])
     seen[bad] += 0.5 * np.sin(np.linspace(0, 6, seen.shape[1]))
-    found = refit(replace(problem, seen=seen), best.simulator, best.free, best.values, best.starts)
+    found = refit(replace(problem, seen=seen), best)
     for key in TRUE:
         assert found.values[key] == pytest.approx(best.values[key], rel=0.005)
     assert found.weight[bad] < 0.02 * np.median(found.weight[found.weight > 0])
@@ -133,12 +132,12 @@ def test_bounds_hold_and_the_others_go_on(case):
     low = replace(best.free[0], high=0.008, nominal=None)
     assert low.name == "J"
     start = {**best.values, "J": 0.0075, "a2": 0.05}
-    found = refit(plain.base.problem, best.simulator, (low, *best.free[1:]), start, best.starts, 40)
+    found = refit(plain.base.problem, Point(best.simulator, (low, *best.free[1:]), start, best.starts), 40)
     assert found.values["J"] == 0.008
-    held = refit(plain.base.problem, best.simulator, best.free[1:], {**start, "J": 0.008}, best.starts, 40)
+    held = refit(plain.base.problem, Point(best.simulator, best.free[1:], {**start, "J": 0.008}, best.starts), 40)
     assert found.total == pytest.approx(held.total, abs=0.2)
-    assert low.stuck(found.values["J"])
-    assert not found.free[1].stuck(found.values["a2"])
+    assert low.at_bound(found.values["J"])
+    assert not found.free[1].at_bound(found.values["a2"])
     assert found.total < best.total - 10
     assert found.values["coulomb.Fc"] != best.values["coulomb.Fc"]
 
@@ -151,9 +150,9 @@ def test_bounds_hold_and_the_others_go_on(case):
     ],
 )  # fmt: skip
 def test_a_parameter_at_its_bound_is_known_as_stuck(free, value, stuck):
-    assert free.stuck(value) is stuck
-    assert free.inside(value) == value
-    assert free.low <= free.inside(1e9) <= free.high
+    assert free.at_bound(value) is stuck
+    assert free.clip(value) == value
+    assert free.low <= free.clip(1e9) <= free.high
 
 
 def test_what_is_known_beforehand_pulls(case):
@@ -161,7 +160,7 @@ def test_what_is_known_beforehand_pulls(case):
     plain = case(None)
     best = plain.base.fit
     tight = replace(best.free[0], nominal=0.012, doubt=1e-6)
-    found = refit(plain.base.problem, best.simulator, (tight, *best.free[1:]), best.values, best.starts)
+    found = refit(plain.base.problem, Point(best.simulator, (tight, *best.free[1:]), best.values, best.starts))
     assert found.values["J"] == pytest.approx(0.012, abs=1e-5)
     assert found.prior < -0.5 or found.total < best.total
 
@@ -171,10 +170,7 @@ def test_segments_that_are_not_judged_do_not_count(case):
     problem, best = plain.base.problem, plain.base.fit
     mask = problem.judged & (plain.dataset.segments.block % 2 == 0)
     seen = np.where(mask[:, None], problem.seen, 7.0)
-    one, two = (
-        evaluate(replace(problem, judged=mask, seen=s), best.simulator, best.free, best.values, best.starts)
-        for s in (problem.seen, seen)
-    )
+    one, two = (evaluate(replace(problem, judged=mask, seen=s), best) for s in (problem.seen, seen))
     assert one.total == two.total
     np.testing.assert_array_equal(one.information, two.information)
     assert np.all(one.weight[~mask] == 0)
@@ -201,9 +197,9 @@ def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
     off = best.starts + np.where(plain.dataset.held[:, None], 30 * problem.spread, 0.0)
     again = refit_initial_states(problem, replace(best, starts=off))
     assert again.values == best.values
-    assert again.here[plain.dataset.held].sum() == pytest.approx(best.here[plain.dataset.held].sum(), abs=1.0)
-    still = evaluate(problem, best.simulator, (), best.values, off)
-    assert still.here[plain.dataset.held].sum() < best.here[plain.dataset.held].sum() - 100
+    assert again.score_at_starts[plain.dataset.held].sum() == pytest.approx(best.score_at_starts[plain.dataset.held].sum(), abs=1.0)
+    still = evaluate(problem, Point(best.simulator, (), best.values, off))
+    assert still.score_at_starts[plain.dataset.held].sum() < best.score_at_starts[plain.dataset.held].sum() - 100
 
 
 def test_what_switches_is_found_from_a_value_that_is_off(case):
@@ -212,7 +208,7 @@ def test_what_switches_is_found_from_a_value_that_is_off(case):
     free = (*hidden.base.fit.free, *free_parameters("dead_zone", {"width": 0.06}, {}))
     simulator = hidden.base.servo.simulator(hidden.base.fit.simulator.segments, ("dead_zone",))
     values = {**hidden.base.fit.values, "dead_zone.width": 0.04}
-    first = evaluate(hidden.base.problem, simulator, free, values, hidden.base.fit.starts)
+    first = evaluate(hidden.base.problem, Point(simulator, free, values, hidden.base.fit.starts))
     problem = hidden.base.problem
     tried = refit_nonsmooth(first, lambda fit: problem, ("dead_zone",))
     assert tried.total > resume(problem, first).total - 1.0
@@ -228,18 +224,18 @@ def rattling(case):
     simulator = backlash.base.servo.simulator(backlash.base.fit.simulator.segments, ("backlash",))
     off = {"backlash.share": 0.35, "backlash.play": 0.04, "backlash.stiffness": 25.0, "backlash.dissipation": 1.0}
     values = {**backlash.base.fit.values, **off}
-    return backlash, evaluate(backlash.base.problem, simulator, free, values, backlash.base.fit.starts)
+    return backlash, evaluate(backlash.base.problem, Point(simulator, free, values, backlash.base.fit.starts))
 
 
 def test_a_loose_load_is_found_from_a_play_and_a_stiffness_that_are_far_off(rattling):
     """Steps along derivatives keep the load at the side where it lay; laid anew in each segment, it leads to the truth."""
     backlash, first = rattling
-    steps = resume(backlash.dataset.left_by(first), first)
-    found = refit_load(steps, backlash.dataset.left_by)
-    assert found.total > rescored(backlash.dataset.left_by(found), steps).total + 100
+    steps = resume(under_own_noise(backlash.dataset, first), first)
+    found = refit_load(steps, partial(under_own_noise, backlash.dataset))
+    assert found.total > rescored(under_own_noise(backlash.dataset, found), steps).total + 100
     assert found.values["backlash.play"] == pytest.approx(0.03, rel=0.05)
     plain = backlash.base.fit
-    assert refit_load(plain, backlash.dataset.left_by) is plain  # nothing is loose there
+    assert refit_load(plain, partial(under_own_noise, backlash.dataset)) is plain  # nothing is loose there
 
 
 def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
@@ -249,11 +245,11 @@ def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
     right = initialise_load(problem, first, 3)
     wrong = right.starts.copy()
     wrong[:, 2] *= -1
-    moved = evaluate(problem, right.simulator, right.free, right.values, wrong)
+    moved = evaluate(problem, right.at(starts=wrong))
     again = initialise_load(problem, moved, 3)
-    assert moved.here[problem.judged].sum() < right.here[problem.judged].sum() - 100
-    assert np.all(again.here >= moved.here)
-    assert again.here[problem.judged].sum() > right.here[problem.judged].sum() - 20
+    assert moved.score_at_starts[problem.judged].sum() < right.score_at_starts[problem.judged].sum() - 100
+    assert np.all(again.score_at_starts >= moved.score_at_starts)
+    assert again.score_at_starts[problem.judged].sum() > right.score_at_starts[problem.judged].sum() - 20
     assert again.values == right.values
 
 
@@ -261,8 +257,8 @@ def test_steps_of_start_states_make_no_segment_worse(rattling):
     backlash, first = rattling
     problem = backlash.base.problem
     after = refine_initial_states(problem, first, 3)
-    assert np.all(after.here >= first.here)
-    assert after.here[problem.judged].sum() > first.here[problem.judged].sum() + 10
+    assert np.all(after.score_at_starts >= first.score_at_starts)
+    assert after.score_at_starts[problem.judged].sum() > first.score_at_starts[problem.judged].sum() + 10
     assert refine_initial_states(problem, first, 0) is first
 
 
@@ -275,10 +271,10 @@ def test_start_states_that_no_sensor_shows_are_paid_for():
     columns = np.zeros((1, 50, 4))
     columns[0, :, 2] = shape
     precision = np.array([[1.0, 1.0, 0.25, 4.0]])
-    begin = Begin.of(columns, np.zeros((1, 50)), precision, np.zeros((1, 4)))
+    found = Elimination.of(columns, np.zeros((1, 50)), precision, np.zeros((1, 4)))
     expected = 0.5 * np.log(1 + shape @ shape / 0.25)
-    np.testing.assert_allclose(initial_state_price(begin, precision), [expected], rtol=1e-9)
-    sure = Begin.of(columns[:, :, :2], np.zeros((1, 50)), precision[:, :2], np.zeros((1, 2)))
+    np.testing.assert_allclose(initial_state_price(found, precision), [expected], rtol=1e-9)
+    sure = Elimination.of(columns[:, :, :2], np.zeros((1, 50)), precision[:, :2], np.zeros((1, 2)))
     assert initial_state_price(sure, precision[:, :2]) == 0.0
 
 
@@ -286,9 +282,9 @@ def test_start_states_that_no_sensor_shows_are_paid_for():
 def test_start_states_that_do_the_same_are_moved_by_what_is_known_of_them(size):
     """A simulation that runs away follows both alike, by far more than rounding leaves of what is known of them."""
     by_start = size * np.outer(np.linspace(0.3, 1.0, 50), [1.0, 3.0])[None]
-    begin = Begin.of(by_start, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2)))
-    move = begin.moves(begin.pull)
-    assert np.isfinite(begin.inverse).all()
+    found = Elimination.of(by_start, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2)))
+    move = found.step(found.gradient)
+    assert np.isfinite(found.inverse).all()
     left = np.ones((1, 50)) - (by_start @ move[:, :, None])[:, :, 0]
     shape = by_start[0, :, 0]
     best = np.ones(50) - shape * (shape.sum() / (shape @ shape))
@@ -307,8 +303,8 @@ def test_start_states_that_do_the_same_are_moved_by_what_is_known_of_them(size):
 )
 def test_ends_of_an_interval_of_either_sign(ends, stuck, free, wider):
     f = Free("b", *ends)
-    assert all(f.stuck(value) for value in stuck)
-    assert not any(f.stuck(value) for value in free)
+    assert all(f.at_bound(value) for value in stuck)
+    assert not any(f.at_bound(value) for value in free)
     assert (f.widened(5.0).low, f.widened(5.0).high) == pytest.approx(wider)
 
 
@@ -331,15 +327,15 @@ def test_what_the_model_can_do_by_itself_is_told(case):
         fit = joined(case(None), name).fit
         assert fit is not None
         place = [f.name for f in fit.free].index(f"{name}.constant" if name == "back_emf" else f"{name}.amplitude")
-        assert fit.alike(place) == others
+        assert fit.collinear_with(place) == others
         for known in (0.0, -1e9, np.nan):  # what derivatives of a load that rattles come to
             rounded = fit.information.copy()
             rounded[0, 0] = known
-            assert replace(fit, information=rounded).alike(place) == ()
+            assert replace(fit, information=rounded).collinear_with(place) == ()
 
 
 def test_a_motion_of_nothing_is_missed_and_no_error(case):
     dataset, fit = case(None).dataset, case(None).base.fit
     pieces = tuple(replace(piece, seen=0 * piece.seen) for piece in dataset.segments.pieces)
     still = replace(dataset, segments=replace(dataset.segments, pieces=pieces))
-    assert still.missed(fit) > 1.0
+    assert relative_error(still, fit) > 1.0

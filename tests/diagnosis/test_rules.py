@@ -10,9 +10,9 @@ import pytest
 
 from bristle.diagnosis import workflow
 from bristle.diagnosis.estimation import uncertainty as intervals
-from bristle.diagnosis.estimation.dataset import HELD_OUT_EVERY, Dataset
+from bristle.diagnosis.estimation.dataset import HELD_OUT_EVERY, Motion
+from bristle.diagnosis.estimation.likelihood import Point
 from bristle.diagnosis.estimation.optimiser import perturbed
-from bristle.diagnosis.estimation.segments import Motion
 from bristle.diagnosis.estimation.simulator import Free, Servo
 from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, line_p, spectrum
 from bristle.diagnosis.localisation.residual_response import response_of
@@ -186,12 +186,12 @@ def test_an_uneven_likelihood_makes_a_wide_interval(monkeypatch, uneven, curve, 
     """Half the width is where a parabola has fallen by the usual and by twice the unevenness, a second at most."""
     rng, name = np.random.default_rng(4), "disturbance_step.onset"
 
-    def likelihood(problem, simulator, free, values, starts):
-        off = values[name] - 5.0
+    def likelihood(problem, point):
+        off = point.values[name] - 5.0
         return SimpleNamespace(total=-0.5 * curve * off**2 + uneven * rng.standard_normal())
 
     monkeypatch.setattr(intervals, "evaluate", likelihood)
-    fit = SimpleNamespace(values={name: 5.0}, simulator=None, starts=None)
+    fit = Point(None, (), {name: 5.0}, None)
     [half] = intervals.parabola_half_widths(None, fit, [Free(name, 0.0, 10.0)]).values()
     assert low <= half <= high
 
@@ -229,7 +229,7 @@ def test_a_moment_moves_by_seconds_and_a_play_by_factors():
 
 def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
     servo = case(None).base.servo
-    [own] = [f.usual for f in servo.free if f.name == "bristle_damping.stiffness"]
+    [own] = [f.nominal_value for f in servo.free if f.name == "bristle_damping.stiffness"]
     for name, factor, outdone in (("presliding", 1.01, True), ("bristle_damping", 1.01, True), ("presliding", 0.5, False)):
         assert servo.outdone(name, {f"{name}.stiffness": factor * own}) is outdone
     assert not servo.outdone("compliance", {"compliance.stiffness": 10 * own})
@@ -246,16 +246,16 @@ def test_bristles_also_begin_as_those_of_the_model(case):
     assert bristle_starts(replace(base.servo, rigid=False), "bristle_damping", base.fit) == []
 
 
-@pytest.mark.parametrize("away", [True, False])
-def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(away, case, monkeypatch):
+@pytest.mark.parametrize("diverged", [True, False])
+def test_where_a_model_runs_away_effects_begin_with_less_dry_friction_too(diverged, case, monkeypatch):
     made = case("cogging")
-    monkeypatch.setattr(Dataset, "away", lambda dataset, fit: away)
+    monkeypatch.setattr(search_module, "has_diverged", lambda dataset, fit: diverged)
     response = response_of(made.base, made.dataset)
     e = evidence(made.dataset.motion, response, made.base.fit, made.dataset.resolution, made.dataset.turn)
     begun = _together(made.dataset, made.base, e)("cogging")
     half = 0.5 * made.base.fit.values["coulomb.Fc"]
     found = [s for whole, s in begun if whole.get("coulomb.Fc") == half and whole["cogging.periods"] == s["periods"]]
-    assert bool(found) is away
+    assert bool(found) is diverged
     assert len(begun) > len(found)  # and as before
 
 

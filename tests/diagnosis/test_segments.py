@@ -8,13 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from bristle.diagnosis.estimation.segments import Segments, cut, smooth
+from bristle.diagnosis.estimation.dataset import Grid, Segments, cut, smooth
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator
 from bristle.diagnosis.preparation import fixed_values
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
 H, WIDTH, BINS = 1e-3, 8, 50
+GRID = Grid(H, WIDTH, BINS, False)
 BASE = ("J", "a2", "coulomb.Fc")
 VALUES = {"J": 0.01, "a2": 0.02, "b": 1.0, "coulomb.Fc": 0.12}
 BENT = {f"{OWN_BRISTLES}.stiffness": 1200.0, f"{OWN_BRISTLES}.damping": 2.0}  # a bend of a quarter of a step of 16384 counts
@@ -41,7 +42,7 @@ def segments():
     t, u = swing()
     native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
     y = native.run(H, {"u": u}, ["theta"])[0][:-1, 0]
-    return Segments((cut("run", t[0], H, u, y, False, 4e-4, WIDTH, BINS),), H, WIDTH, BINS, False)
+    return Segments(H, WIDTH, BINS, False, (cut("run", t[0], u, y, GRID, 4e-4),))
 
 
 def simulator(segments, effects, rigid):
@@ -103,12 +104,9 @@ def test_hidden_states_live_on_from_segment_to_segment(segments):
     """The delay line of one segment reaches into the next: what came before its start is not forgotten."""
     values = VALUES | {"input_delay.delay": 0.02}
     seen = simulator(segments, ("input_delay",), False).run(values, segments.starts)[0]
-    cold = Segments(
-        tuple(
-            cut("part", 0.4 * k, H, u, np.zeros_like(u), False, 4e-4, WIDTH, BINS)
-            for k, u in enumerate(segments.pieces[0].u.reshape(-1, WIDTH * BINS))
-        ), H, WIDTH, BINS, False,
-    )  # fmt: skip
+    parts = enumerate(segments.pieces[0].u.reshape(-1, WIDTH * BINS))
+    pieces = tuple(cut("part", 0.4 * k, u, np.zeros_like(u), GRID, 4e-4) for k, u in parts)
+    cold = Segments(H, WIDTH, BINS, False, pieces)
     alone = simulator(cold, ("input_delay",), False).run(values, segments.starts)[0]
     np.testing.assert_array_equal(seen[0], alone[0])
     assert np.sum(np.max(np.abs(seen - alone)[1:], axis=1) > 1e-3) >= 4  # it rests at the start of some
@@ -140,7 +138,7 @@ def test_a_velocity_is_simulated_where_a_velocity_was_measured():
     t, u = swing()
     native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
     v = native.run(H, {"u": u}, ["v"])[0][:-1, 0]
-    segments = Segments((cut("run", t[0], H, u, v, True, 1e-3, WIDTH, BINS),), H, WIDTH, BINS, True)
+    segments = Segments(H, WIDTH, BINS, True, (cut("run", t[0], u, v, Grid(H, WIDTH, BINS, True), 1e-3),))
     starts = np.column_stack([np.zeros(8), v[:: WIDTH * BINS][:8]])
     seen, sens, _, _ = Simulator("coulomb", (), segments, BASE, fixed_values(H)).run(VALUES, starts, jacobian=True)
     assert sens is not None
@@ -160,10 +158,10 @@ def test_what_cannot_be_simulated_is_marked_and_spoils_nothing_else(segments):
 
 def test_records_are_cut_into_averages_and_the_rest_is_dropped():
     y = np.arange(1000.0) ** 2
-    piece = cut("run", 7.0, 1e-3, np.arange(1000.0), y, False, 1.0, 8, 50)
+    piece = cut("run", 7.0, np.arange(1000.0), y, Grid(1e-3, 8, 50, False), 1.0)
     assert (piece.time, piece.seen.shape, piece.u.shape) == (7.0, (2, 50), (800,))
     np.testing.assert_array_equal(piece.seen[1, 3], y[424:432].mean())
-    parts = Segments((piece, piece), 1e-3, 8, 50, False)
+    parts = Segments(1e-3, 8, 50, False, (piece, piece))
     assert parts.judged.tolist() == [False, True, False, True]
     assert parts.block.tolist() == [0, 1, 0, 1]
     assert parts.seen.shape == (4, 50)
@@ -184,7 +182,7 @@ def test_start_states_are_as_uncertain_as_the_sensor_is_coarse():
     native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
     true = native.run(H, {"u": u}, ["theta", "v"])[0][:-1]
     step = 2 * np.pi / 16384
-    piece = cut("run", 0.0, H, u, np.floor(true[:, 0] / step + 0.5) * step, False, step, WIDTH, BINS)
+    piece = cut("run", 0.0, u, np.floor(true[:, 0] / step + 0.5) * step, GRID, step)
     z = (piece.starts - true[:: WIDTH * BINS][: len(piece.starts)]) / piece.spread
     assert np.all(np.abs(z) < 3)
     assert np.all(np.sqrt(np.mean(z[1:] ** 2, axis=0)) > 0.01)
@@ -199,7 +197,7 @@ def test_no_reversal_amplifies_a_start():
     u = np.repeat(rng.normal(0.0, 0.12, 100), 200)
     native = Native(servo_program("coulomb", encoder=False), VALUES | {"u_max": 1e6})
     y = native.run(H, {"u": u}, ["theta"])[0][:-1, 0]
-    rough = Segments((cut("run", 0.0, H, u, y, False, 4e-4, WIDTH, BINS),), H, WIDTH, BINS, False)
+    rough = Segments(H, WIDTH, BINS, False, (cut("run", 0.0, u, y, GRID, 4e-4),))
     work = simulator(rough, (), True)
     for damping in np.geomspace(0.01, 10.0, 60):
         bent = {f"{OWN_BRISTLES}.stiffness": 5000.0, f"{OWN_BRISTLES}.damping": damping}
@@ -226,7 +224,7 @@ def test_two_threads_simulate_the_same_program_without_disturbing_each_other(seg
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # of a process with threads: what is tested
 def test_a_forked_process_does_not_wait_for_threads_it_has_not(segments):
-    twice = Segments((*segments.pieces, *segments.pieces), H, WIDTH, BINS, False)
+    twice = Segments(H, WIDTH, BINS, False, (*segments.pieces, *segments.pieces))
     work = simulator(twice, (), False)
     here = work.run(VALUES, twice.starts)[0]  # the threads are at work from here on
     context = multiprocessing.get_context("fork")

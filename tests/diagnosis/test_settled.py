@@ -10,8 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from bristle.diagnosis import Model, Record, records_from_arrays
-from bristle.diagnosis.estimation import dataset as fitting
-from bristle.diagnosis.estimation.likelihood import Fit
+from bristle.diagnosis.estimation import fitted_model as fitting
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.likelihood import Fit, Point
 from bristle.diagnosis.estimation.optimiser import refit
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
@@ -39,7 +40,7 @@ def simulated(model: Model, seed: int) -> Record:
 
 
 @pytest.fixture(scope="module")
-def asymmetric() -> tuple[fitting.Dataset, Fit]:
+def asymmetric() -> tuple[Dataset, Fit]:
     """A dataset, and a fit with one of the two effects that hardly moves: the other one, unknown, passes as slow noise."""
     tree: dict[str, Any] = {
         "friction": "coulomb",
@@ -54,32 +55,37 @@ def asymmetric() -> tuple[fitting.Dataset, Fit]:
     free = (*base.servo.free, *free_parameters("asymmetric_coulomb", {"share": 0.0}, {}))
     simulator = base.servo.simulator(own.segments, ("asymmetric_coulomb",))
     begin = {**base.fit.values, "asymmetric_coulomb.share": 0.0}
-    return own, refit(base.problem, simulator, free, begin, base.fit.starts)
+    return own, refit(base.problem, Point(simulator, free, begin, base.fit.starts))
 
 
-def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[fitting.Dataset, Fit]) -> None:
+def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[Dataset, Fit]) -> None:
     _, first = asymmetric
     assert first.noise.corner < fitting.FAST_CORNER
     assert first.values["asymmetric_coulomb.share"] < 0.3 * TRUE["asymmetric_coulomb.share"]
 
 
-def test_settled_it_is_likelier_and_nearer_the_truth(
-    asymmetric: tuple[fitting.Dataset, Fit], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_settled_it_is_likelier_and_nearer_the_truth(asymmetric: tuple[Dataset, Fit], monkeypatch: pytest.MonkeyPatch) -> None:
     own, first = asymmetric
-    end = own.settled(first)
+    end = fitting.refit_with_noise(own, first)
     monkeypatch.setattr(fitting, "FAST_CORNER", 0.0)  # as if no noise were slow
-    timid = own.settled(first)
+    timid = fitting.refit_with_noise(own, first)
     assert end.total > timid.total + 30
     true = TRUE["asymmetric_coulomb.share"]
     assert abs(end.values["asymmetric_coulomb.share"] - true) < 0.5 * abs(timid.values["asymmetric_coulomb.share"] - true)
 
 
-def test_where_it_has_settled_nothing_moves_any_more(asymmetric: tuple[fitting.Dataset, Fit]) -> None:
+def test_where_it_has_settled_nothing_moves_any_more(asymmetric: tuple[Dataset, Fit]) -> None:
     own, first = asymmetric
-    end = own.settled(first)
-    again = own.settled(end)
+    end = fitting.refit_with_noise(own, first)
+    again = fitting.refit_with_noise(own, end)
     assert again.total == pytest.approx(end.total, abs=2.0)
+
+
+def judged(monkeypatch: pytest.MonkeyPatch, diverged: bool, models: list[dict[str, float]]) -> None:
+    """Let every model fit poorly, and the inverse dynamics give these start values."""
+    monkeypatch.setattr(fitting, "fits_poorly", lambda dataset, fit: True)
+    monkeypatch.setattr(fitting, "has_diverged", lambda dataset, fit: diverged)
+    monkeypatch.setattr(fitting, "balanced_model", lambda dataset, fitted: SimpleNamespace(models=models))
 
 
 @pytest.mark.parametrize(("gains", "chosen"), [((0.0, 3.0), 0), ((0.0, 9.0), 1), ((3.0, 0.0), 0)])
@@ -94,13 +100,13 @@ def test_of_two_ends_alike_the_one_inside_its_bounds_is_taken(
     ]
     several = iter(ends)
     monkeypatch.setattr(fitting, "fit_with_noise", lambda *_: next(several))
-    models = SimpleNamespace(models=[{}])
-    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: False, balanced=lambda fitted: models)
-    assert fitting.fit_from_several_starts(stand, ends[0].servo, {}) is ends[chosen]
+    judged(monkeypatch, diverged=False, models=[{}])
+    dataset: Any = None
+    assert fitting.fit_from_several_starts(dataset, ends[0].servo, {}) is ends[chosen]
 
 
-@pytest.mark.parametrize("away", [True, False])
-def test_a_model_that_runs_away_is_fitted_from_less_dry_friction_too(away: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("diverged", [True, False])
+def test_a_model_that_diverges_is_fitted_from_less_dry_friction_too(diverged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Dry friction holds an axis where a missing torque would; steps end where it sticks."""
     free, begun = (Free("J", 1e-4, 1e-2), Free("coulomb.Fc", 0.0, 0.6)), []
 
@@ -110,8 +116,9 @@ def test_a_model_that_runs_away_is_fitted_from_less_dry_friction_too(away: bool,
         return SimpleNamespace(servo=servo, fit=SimpleNamespace(total=100.0 * len(begun), values=found))
 
     monkeypatch.setattr(fitting, "fit_with_noise", settle)
-    models = SimpleNamespace(models=[])
-    stand: Any = SimpleNamespace(far=lambda fit: True, away=lambda fit: away, balanced=lambda fitted: models)
-    end = fitting.fit_from_several_starts(stand, SimpleNamespace(free=free), {"J": 2e-3})  # type: ignore[arg-type]  # no more than is asked of it
-    assert begun == ([{"J": 2e-3}, {"J": 2e-3, "coulomb.Fc": 0.05}] if away else [{"J": 2e-3}])
+    judged(monkeypatch, diverged=diverged, models=[])
+    dataset: Any = None
+    servo: Any = SimpleNamespace(free=free)
+    end = fitting.fit_from_several_starts(dataset, servo, {"J": 2e-3})
+    assert begun == ([{"J": 2e-3}, {"J": 2e-3, "coulomb.Fc": 0.05}] if diverged else [{"J": 2e-3}])
     assert end.fit.total == 100.0 * len(begun)

@@ -20,7 +20,7 @@ from bristle.cli import main as cli
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
 from bristle.diagnosis import preparation as prepare
-from bristle.diagnosis.estimation import dataset as fitting_module
+from bristle.diagnosis.estimation import fitted_model as fitting_module
 from bristle.diagnosis.modelfile import write_model
 from bristle.diagnosis.workflow import retried, teller
 from bristle.fmus import build

@@ -1,0 +1,138 @@
+"""A servo fitted to a dataset together with its noise, and how well it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.inverse_dynamics import Balance, BalancedModel
+from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, mean_square, rescored
+from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, resume
+from bristle.diagnosis.estimation.simulator import Servo
+
+NOISE_FIT_ITERATIONS = 40  # steps of a fit under a given noise
+NOISE_PASSES = 8  # most alternations of noise and parameters
+FAST_NOISE_PASSES = 2  # alternations under a noise that is kept fast
+FAST_CORNER = 10.0  # Hz: a disturbance with at least this corner frequency cannot hide a slow effect
+BRIEF_CORNER = 30.0  # Hz: least corner frequency of a noise that is kept fast
+POOR_FIT_SHARE = 0.03  # of the motion's square: a larger error calls for start values from the inverse dynamics
+DIVERGED_SHARE = 1.0  # of the motion's square: a model with a larger error has diverged
+REDUCED_FRICTION = 0.5  # of the dry friction: start value for a model that diverges
+OUTLIER_WEIGHT = 0.16  # weight, usually about 1, below which a segment is an outlier
+LARGE_DISTURBANCE = 0.15  # of the input's torque, rms: a larger disturbance hints at a missing effect
+TIE_NATS = 6.0  # nats: fits closer than this are a tie
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A servo fitted, with the problem it was fitted under."""
+
+    servo: Servo
+    problem: Problem
+    fit: Fit
+
+
+def under_own_noise(dataset: Dataset, fit: Fit, slowest: float = 0.0) -> Problem:
+    """Return the problem of the training segments under the noise of a fit's residual; `slowest` as of `noise.estimate`."""
+    return Problem.of(dataset.segments, dataset.noise(fit.residual, fit.weight, fit.values, slowest), dataset.train)
+
+
+def refit_with_noise(dataset: Dataset, fit: Fit) -> Fit:
+    """Return a fit refitted under the noise of its own residual, until neither changes.
+
+    A slow noise can absorb what a model explains only in part, so that parameters and noise keep each other where they
+    are. A second refit therefore begins under a noise that is kept fast; the more likely result counts.
+    """
+    end = _alternate(dataset, fit)
+    if end.noise.corner >= FAST_CORNER:
+        return end
+    fast = fit
+    for _ in range(FAST_NOISE_PASSES):
+        fast = resume(under_own_noise(dataset, fast, BRIEF_CORNER), fast, NOISE_FIT_ITERATIONS, ROUGH_STOP_GAIN)
+    return max(end, _alternate(dataset, fast), key=lambda each: each.total)
+
+
+def _alternate(dataset: Dataset, fit: Fit) -> Fit:
+    """Estimate noise and parameters in turn."""
+    for _ in range(NOISE_PASSES):
+        problem = under_own_noise(dataset, fit)
+        before = rescored(problem, fit).total
+        fit = resume(problem, fit, NOISE_FIT_ITERATIONS, ROUGH_STOP_GAIN)
+        if fit.total < before + ROUGH_STOP_GAIN:
+            break
+    return fit
+
+
+def fit_with_noise(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> FittedModel:
+    """Fit a servo and its noise in turn, from given values."""
+    simulator, starts = servo.simulator(dataset.segments), dataset.segments.starts
+    simulated, _, good, _ = simulator.run(values, starts)
+    residual = np.where(good[:, None], dataset.segments.seen - simulated, 0.0)
+    noise = dataset.noise(residual, (dataset.train & good).astype(float), values)
+    problem, point = Problem.of(dataset.segments, noise, dataset.train), Point(simulator, servo.free, dict(values), starts)
+    fit = refit_with_noise(dataset, refit(problem, point, NOISE_FIT_ITERATIONS, ROUGH_STOP_GAIN))
+    problem = under_own_noise(dataset, fit)
+    return FittedModel(servo, problem, resume(problem, fit))
+
+
+def fit_from_several_starts(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> FittedModel:
+    """Fit a servo and its noise from given values and, if that fits poorly, from others.
+
+    These are the parameters of the inverse dynamics and, where the servo diverges, less dry friction. Of results in a tie
+    the one with the fewest parameters at their bounds is returned.
+    """
+    first = fit_with_noise(dataset, servo, values)
+    if not fits_poorly(dataset, first.fit):
+        return first
+    less = reduced_friction_start(first) if has_diverged(dataset, first.fit) else {}
+    others = [*balanced_model(dataset, first).models, *([less] if less else [])]
+    ends = [first, *(fit_with_noise(dataset, servo, {**values, **other}) for other in others)]
+    most = max(fitted.fit.total for fitted in ends)
+    return min((s for s in ends if s.fit.total > most - TIE_NATS), key=lambda s: (_count_at_bounds(s), -s.fit.total))
+
+
+def _count_at_bounds(fitted: FittedModel) -> int:
+    return sum(f.at_bound(fitted.fit.values[f.name]) for f in fitted.servo.free)
+
+
+def reduced_friction_start(fitted: FittedModel) -> dict[str, float]:
+    """Return start values with less dry friction than a servo has; none if its law has no dry friction."""
+    return {f.name: REDUCED_FRICTION * fitted.fit.values[f.name] for f in fitted.servo.free if f.name.endswith(".Fc")}
+
+
+def balanced_model(dataset: Dataset, fitted: FittedModel) -> BalancedModel:
+    """Return the model fitted to the balance of torques along the measured motion."""
+    balance = Balance(dataset.segments, dataset.motion, fitted.problem.judged, fitted.servo.fixed)
+    return BalancedModel(balance, fitted.servo, fitted.fit.values, dataset.noise)
+
+
+def relative_error(dataset: Dataset, fit: Fit) -> float:
+    """Return the squared error over that of the motion within segments, less a straight line each."""
+    s = dataset.segments
+    ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
+    moved = (s.seen - (s.seen @ ramp) @ ramp.T)[dataset.train]
+    return mean_square(fit, dataset.train) / max(float(np.mean(np.square(moved))), 1e-300)
+
+
+def fits_poorly(dataset: Dataset, fit: Fit) -> bool:
+    """True if the error is so large that steps along derivatives may not lead to the optimum."""
+    return relative_error(dataset, fit) > POOR_FIT_SHARE
+
+
+def has_diverged(dataset: Dataset, fit: Fit) -> bool:
+    """True if the simulation diverges from the measured motion."""
+    return relative_error(dataset, fit) > DIVERGED_SHARE
+
+
+def has_outliers_or_disturbance(dataset: Dataset, fit: Fit) -> bool:
+    """True if some training segment is an outlier, or the estimated disturbance is a large part of the torque."""
+    return bool(fit.weight[dataset.train].min() < OUTLIER_WEIGHT) or disturbance_ratio(dataset, fit) > LARGE_DISTURBANCE
+
+
+def disturbance_ratio(dataset: Dataset, fit: Fit) -> float:
+    """Return the estimated disturbance torque over the torque of the input; rms."""
+    drive = abs(fit.values["b"]) * float(np.sqrt(np.mean(np.square(dataset.motion.u))))
+    return fit.noise.torque / drive if drive else 0.0
