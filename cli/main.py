@@ -67,8 +67,18 @@ def _say(line: str) -> None:
     print(" ".join(line.split()), file=sys.stderr, flush=True)
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        import bristle as library
+
+        print(f"bristle {library.__version__}")
+        raise typer.Exit(PASS)
+
+
 @app.callback()
-def bristle() -> None:
+def bristle(
+    version: Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print the version")] = False,
+) -> None:
     """Servo friction and the adaptive observers that identify it, as FMUs, co-simulated over scenario files."""
 
 

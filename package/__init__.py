@@ -1,1 +1,302 @@
-"""Bristle: servo friction and the adaptive observers that identify it, as FMUs."""
+"""Servo friction models and the adaptive observers that identify them, as FMUs; and the diagnosis of measured servos.
+
+    import bristle
+
+    result = bristle.run("quick", out="out")                      # co-simulate a scenario
+    found = bristle.diagnose("model.toml", ["a.csv", "b.csv"])    # what does the model lack?
+    path = bristle.build("plant", "fmus", fmi=3)                  # an FMU for another tool
+
+The functions do what the commands of the same names do. The rest of the library is imported when a function first needs it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from bristle.common.errors import BristleError
+from bristle.result import Result
+
+if TYPE_CHECKING:
+    from bristle.diagnosis import Diagnosis, Model, Record
+
+    __version__: str
+
+__all__ = [
+    "BristleError", "Diagnosis", "Model", "Record", "Result", "__version__", "build", "diagnose", "load_model", "load_record",
+    "load_records", "run",
+]  # fmt: skip
+
+PathLike = str | os.PathLike[str]
+
+_LATER = {name: "bristle.diagnosis" for name in ("Diagnosis", "Model", "Record")}  # class: where it is when it is asked for
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("bristle")
+    if name in _LATER:
+        from importlib import import_module
+
+        return getattr(import_module(_LATER[name]), name)
+    raise AttributeError(f"module 'bristle' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+def run(
+    scenario: PathLike,
+    out: PathLike = "out",
+    *,
+    overrides: Mapping[str, object] | None = None,
+    seed: int | None = None,
+    kind: Literal["native", "python"] = "native",
+    fmi: Literal[2, 3] = 2,
+) -> Result:
+    """Co-simulate a scenario and write its result folder ``out/<scenario>``.
+
+    Parameters
+    ----------
+    scenario : path
+        Scenario file (TOML), or the name of a scenario that comes with the library, such as ``"quick"``.
+    out : path, optional
+        Folder for the result folders; created if it is missing.
+    overrides : mapping of str to object, optional
+        Values that replace those of the file, by their path in it, such as ``{"plant.parameters.J": "0.002 kg.m2"}``;
+        what has a unit is text with the unit.
+    seed : int, optional
+        Seed of the controller's reference signal.
+    kind : {"native", "python"}, optional
+        Compiled FMUs, or FMUs written in Python.
+    fmi : {2, 3}, optional
+        Version of FMI; FMUs written in Python are of version 2.
+
+    Returns
+    -------
+    Result
+        Verdict, estimates, checks, and the folder with report.html.
+
+    Raises
+    ------
+    BristleError
+        If the scenario cannot be read, or an FMU cannot be built or refuses to start. Nothing is written then. A simulation that
+        diverges is no error: its verdict is ``"fail"``.
+    """
+    import json
+
+    from bristle.harness.run import Options
+    from bristle.harness.run import run as run_scenario
+
+    given = tuple(f"{path}={v if isinstance(v, str) else json.dumps(v)}" for path, v in (overrides or {}).items())
+    done = run_scenario(_scenario_path(scenario), Path(out), Options(fmi, kind, given, seed))
+    return Result(done.result, done.folder)
+
+
+def _scenario_path(scenario: PathLike) -> Path:
+    """Return a path, or that of the scenario of this name that comes with the library."""
+    path = Path(scenario)
+    if path.exists() or path.name != str(scenario) or path.suffix:
+        return path
+    from importlib.resources import files
+
+    shipped = Path(str(files("bristle.scenarios") / f"{path}.toml"))
+    return shipped if shipped.is_file() else path
+
+
+def build(
+    part: Literal["plant", "observer", "controller"],
+    out: PathLike = ".",
+    *,
+    kind: Literal["native", "python"] = "native",
+    fmi: Literal[2, 3] = 2,
+    law: str | None = None,
+    method: str | None = None,
+) -> Path:
+    """Build an FMU.
+
+    Parameters
+    ----------
+    part : {"plant", "observer", "controller"}
+        Which FMU.
+    out : path, optional
+        Folder for the file; created if it is missing.
+    kind : {"native", "python"}, optional
+        Compiled, or written in Python for importing tools that run in Python.
+    fmi : {2, 3}, optional
+        Version of FMI; FMUs written in Python are of version 2.
+    law : str, optional
+        A plant with this friction law only, instead of all laws behind a parameter.
+    method : str, optional
+        An observer with this method only, instead of all methods behind a parameter.
+
+    Returns
+    -------
+    pathlib.Path
+        The file, such as ``ServoPlant.fmu`` or ``ServoPlant_lugre.fmu``.
+
+    Raises
+    ------
+    BristleError
+        If there is no such part, law or method, there is no C compiler, or the folder cannot be written.
+    """
+    from bristle.harness.catalogue import build_file
+
+    return build_file(part, Path(out), fmi=fmi, kind=kind, law=law, method=method)
+
+
+def diagnose(
+    model: PathLike | Model | None,
+    data: PathLike | Record | Sequence[PathLike | Record],
+    out: PathLike | None = None,
+    *,
+    fmu: PathLike | None = None,
+    choose: str | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Diagnosis:
+    """Find where a model and measured records disagree, and name the effect that the model lacks.
+
+    Parameters
+    ----------
+    model : path or Model or None
+        Model file (TOML), or what `load_model` returns. None if `fmu` alone describes the servo: the FMU must then have the
+        parameters J, a2 and b, and the columns of the records are t [s], u [V] and theta [rad] or v [rad/s].
+    data : path or Record, or sequence of them
+        Measured files (CSV, MAT, NPZ or Parquet) or records that are loaded already; two or more records are better than one.
+    out : path, optional
+        Folder for diagnosis.json, report.html and the augmented model; without it nothing is written.
+    fmu : path, optional
+        Plant FMU (Co-Simulation) to diagnose instead of the equations of the model file.
+    choose : str, optional
+        Effect to add to the written model when effects of several classes tie.
+    progress : callable, optional
+        Called with what is done now (text) and how much of the whole is done (0 to 1).
+
+    Returns
+    -------
+    Diagnosis
+        Verdict, effects with their parameters (SI units) and 95 % intervals, ties, localisation of the residual, gap.
+
+    Raises
+    ------
+    BristleError
+        If model or data cannot be read or do not fit together, nothing moves in the records, the model cannot be simulated, or
+        the folder cannot be written.
+    """
+    from bristle import diagnosis
+
+    items: list[PathLike | Record] = [data] if isinstance(data, (str, os.PathLike, diagnosis.Record)) else list(data)
+    files = [Path(item) for item in items if isinstance(item, (str, os.PathLike))]
+    if out is not None:
+        _check_folder(Path(out), [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))] + files, choose)
+    known = _model(model, fmu)
+    records = [item for item in items if isinstance(item, diagnosis.Record)]
+    if files:
+        records += diagnosis.load_records(known, files)
+    if fmu is None:
+        found = diagnosis.diagnose(known, records, progress=progress)
+    else:
+        found = diagnosis.diagnose_fmu(Path(fmu), known, records, progress=progress)
+    if out is not None:
+        diagnosis.write(found, Path(out), choose)
+    return found
+
+
+def _check_folder(out: Path, inputs: Sequence[Path], choose: str | None) -> None:
+    """Raise `BristleError` for what could not be written, before time is spent on the diagnosis."""
+    from bristle.diagnosis.report.export import check_places
+    from bristle.plant.effects import effect
+
+    if choose is not None:
+        effect(choose)
+    check_places(out, inputs)
+
+
+def _model(model: PathLike | Model | None, fmu: PathLike | None = None) -> Model:
+    """Return a model from what stands for one."""
+    from bristle import diagnosis
+
+    if isinstance(model, (str, os.PathLike)):
+        return diagnosis.load_model(Path(model))
+    if model is not None:
+        return model
+    if fmu is None:
+        raise BristleError("nothing to diagnose: model is None; give a model file, a Model, or fmu=PLANT.fmu")
+    return diagnosis.fmu_model(Path(fmu))
+
+
+def load_model(file: PathLike) -> Model:
+    """Read and check a model file.
+
+    Parameters
+    ----------
+    file : path
+        TOML file with the friction law, parameters, bounds and columns of the records.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    BristleError
+        One line that names file, key, value and what is allowed.
+    """
+    return _model(file)
+
+
+def load_record(file: PathLike, model: PathLike | Model) -> Record:
+    """Read, check and clean one measured file.
+
+    Parameters
+    ----------
+    file : path
+        CSV, MAT, NPZ or Parquet file.
+    model : path or Model
+        Says which columns hold time, input and output, and their units.
+
+    Returns
+    -------
+    Record
+        Time [s], input and output (SI units) on an even grid, with findings about what was cleaned.
+
+    Raises
+    ------
+    BristleError
+        If the file cannot be read or its columns are not usable, or a gap splits it into several records: then use `load_records`.
+    """
+    records = load_records(file, model)
+    if len(records) != 1:
+        raise BristleError(f"{file}: gaps split it into {len(records)} records; use load_records")
+    return records[0]
+
+
+def load_records(files: PathLike | Sequence[PathLike], model: PathLike | Model) -> list[Record]:
+    """Read, check and clean measured files.
+
+    Parameters
+    ----------
+    files : path or sequence of path
+        CSV, MAT, NPZ or Parquet files.
+    model : path or Model
+        Says which columns hold time, input and output, and their units.
+
+    Returns
+    -------
+    list of Record
+        At least one for each file, all with the same sampling period.
+
+    Raises
+    ------
+    BristleError
+        If a file cannot be read or its columns are not usable, or the files were sampled at different rates.
+    """
+    from bristle import diagnosis
+
+    listed = [files] if isinstance(files, (str, os.PathLike)) else list(files)
+    return diagnosis.load_records(_model(model), [Path(file) for file in listed])

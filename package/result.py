@@ -1,0 +1,96 @@
+"""What `bristle.run` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["Result"]
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """The result of a scenario: `print` shows it as a table.
+
+    Attributes
+    ----------
+    data : mapping of str to object
+        The content of result.json.
+    folder : pathlib.Path
+        The result folder, with result.json, signals.csv, report.html and the figures.
+    """
+
+    data: Mapping[str, Any] = field(compare=False)
+    folder: Path
+
+    @property
+    def scenario(self) -> str:
+        """Name of the scenario."""
+        return str(self.data["scenario"])
+
+    @property
+    def verdict(self) -> str:
+        """``"pass"`` if all checks pass and the simulation reached its end, else ``"fail"``."""
+        return str(self.data["verdict"])
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is pass."""
+        return self.verdict == "pass"
+
+    @property
+    def estimates(self) -> Mapping[str, Mapping[str, Any]]:
+        """Of each estimated parameter: unit, true value (None if there is none), final value, error [%], settling time [s]."""
+        found: Mapping[str, Mapping[str, Any]] = self.data["estimates"]
+        return found
+
+    @property
+    def checks(self) -> Sequence[Mapping[str, Any]]:
+        """Of each check: name, value, limit, and whether it passes."""
+        found: Sequence[Mapping[str, Any]] = self.data["checks"]
+        return found
+
+    @property
+    def report(self) -> Path:
+        """The report, one self-contained HTML file."""
+        return self.folder / "report.html"
+
+    def signals(self) -> dict[str, NDArray[np.float64]]:
+        """Read the signals of signals.csv.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n,)
+            ``time`` [s] and every signal (SI units), thinned to at most 2000 rows; not a number where there is no value.
+        """
+        import numpy as np
+
+        file = self.folder / "signals.csv"
+        with file.open(encoding="utf-8") as lines:
+            names = lines.readline().strip().split(",")
+            table = np.loadtxt(lines, delimiter=",", ndmin=2)
+        return dict(zip(names, table.T, strict=True))
+
+    def __repr__(self) -> str:
+        good = sum(bool(check["pass"]) for check in self.checks)
+        return f"<Result {self.scenario!r}: {self.verdict}, {good} of {len(self.checks)} checks pass, in {str(self.folder)!r}>"
+
+    def __str__(self) -> str:
+        lines = [f"{self.scenario}: {self.verdict}"]
+        for name, e in self.estimates.items():
+            true, error = _number(e["true"]), _number(e["error_percent"])
+            lines.append(f"  {name:<10} {_number(e['final'])} {e['unit']:<12} true {true}   error {error} %")
+        lines += [
+            f"  {'ok    ' if check['pass'] else 'FAILED'} {check['name']}: {_number(check['value'])}" for check in self.checks
+        ]
+        return "\n".join([*lines, f"  {self.report}"])
+
+
+def _number(value: float | None) -> str:
+    return f"{'-' if value is None else format(value, '.4g'):>10}"

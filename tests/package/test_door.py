@@ -1,0 +1,174 @@
+"""The public functions: the same answers as the commands, from paths or loaded objects, and a fast import."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bristle
+from bristle.plant.effects import effects
+
+ROOT = Path(__file__).resolve().parents[2]
+HIDDEN = ROOT / "scenarios" / "hidden" / "07"
+DATA = [HIDDEN / "a.npz", HIDDEN / "b.npz"]
+SCENARIO = """
+duration = "1 s"
+[plant]
+law = "modified"
+[observer]
+method = "bastin_gevers"
+[[checks]]
+name = "b moves"
+quantity = "estimates.b.moved_percent"
+min = 1
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_text(SCENARIO, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def wrong_unit(tmp_path: Path) -> Path:
+    """A model file whose input unit is a thousand times too small: the diagnosis ends at once and proposes another unit."""
+    path = tmp_path / "model.toml"
+    path.write_text((HIDDEN / "model.toml").read_text(encoding="utf-8").replace('"N.m"', '"mN.m"'), encoding="utf-8")
+    return path
+
+
+def test_the_import_is_light():
+    """Nothing but the exceptions and the result class is imported before it is needed."""
+    code = "import sys; before = {*sys.modules}; import bristle; print(*sorted({*sys.modules} - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    own = {name for name in loaded if name.split(".")[0] == "bristle"}
+    assert own == {"bristle", "bristle.common", "bristle.common.errors", "bristle.result"}
+    assert not {"numpy", "scipy", "casadi", "fmpy", "matplotlib", "pydantic"} & {*loaded}
+    assert len(loaded) < 60
+
+
+def test_the_version_is_that_of_the_project_and_of_the_command():
+    import tomllib
+
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert bristle.__version__ == version
+    command = [sys.executable, "-m", "bristle.cli.main", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == f"bristle {version}\n"
+
+
+def test_every_public_name_is_there():
+    for name in bristle.__all__:
+        assert getattr(bristle, name) is not None
+    assert {*bristle.__all__} <= {*dir(bristle)}
+    with pytest.raises(AttributeError, match="nothing_of_this_name"):
+        bristle.nothing_of_this_name  # noqa: B018 - the access is what is tested
+
+
+def test_sub_packages_keep_their_names():
+    code = (
+        "import bristle, bristle.diagnosis, bristle.records, bristle.harness.run; print(callable(bristle.run), bristle.diagnosis)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("True <module 'bristle.diagnosis'")
+
+
+def test_a_scenario_runs_and_its_result_is_what_was_written(scenario, tmp_path):
+    result = bristle.run(scenario, tmp_path / "out")
+    assert result.passed
+    assert result.folder == tmp_path / "out" / "small"
+    written = json.loads((result.folder / "result.json").read_text(encoding="utf-8"))
+    assert result.verdict == written["verdict"] == "pass"
+    assert result.scenario == "small"
+    assert result.estimates["b"]["final"] == written["estimates"]["b"]["final"]
+    assert result.checks[0]["name"] == "b moves"
+    assert result.report.is_file()
+    signals = result.signals()
+    assert signals["time"][0] == 0.0
+    assert {column.shape for column in signals.values()} == {signals["u"].shape}
+    assert np.all(np.diff(signals["time"]) > 0)
+    assert repr(result) == f"<Result 'small': pass, 1 of 1 checks pass, in {str(result.folder)!r}>"
+    assert "b moves" in str(result)
+
+
+def test_overrides_replace_values_of_the_file(scenario, tmp_path):
+    text = bristle.run(scenario, tmp_path / "a", overrides={"plant.parameters.J": "2 g.m2", "duration": "0.5 s"})
+    with pytest.raises(bristle.BristleError, match="has no unit"):
+        bristle.run(scenario, tmp_path / "b", overrides={"plant.parameters.J": 0.002})
+    plain = bristle.run(scenario, tmp_path / "c", overrides={"duration": "0.5 s"})
+    assert text.data["duration_s"] == 0.5
+    flag = bristle.run(scenario, tmp_path / "d", overrides={"duration": "0.5 s", "checks.0.min": 1e9})
+    assert not flag.passed
+    assert text.estimates["b"]["true"] == pytest.approx(plain.estimates["b"]["true"] / 2)
+
+
+def test_another_seed_gives_another_run(scenario, tmp_path):
+    one, other = (bristle.run(scenario, tmp_path / str(seed), seed=seed) for seed in (1, 2))
+    assert one.estimates["b"]["final"] != other.estimates["b"]["final"]
+
+
+def test_a_shipped_scenario_is_found_by_its_name(tmp_path):
+    result = bristle.run("quick", tmp_path, overrides={"duration": "1 s"})
+    assert result.scenario == "quick"
+    with pytest.raises(bristle.BristleError, match="no_such"):
+        bristle.run("no_such", tmp_path)
+
+
+def test_an_fmu_is_built(tmp_path):
+    path = bristle.build("controller", tmp_path / "fmus", fmi=3)
+    assert path == tmp_path / "fmus" / "Controller.fmu"
+    assert path.is_file()
+    with pytest.raises(bristle.BristleError, match="no law"):
+        bristle.build("controller", tmp_path, law="lugre")
+
+
+def test_a_diagnosis_takes_paths_and_loaded_objects(wrong_unit, tmp_path):
+    by_path = bristle.diagnose(wrong_unit, DATA, tmp_path / "out")
+    assert by_path.verdict == "not_identifiable"
+    assert "mN.m" in by_path.proposals[0]
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"] == "not_identifiable"
+    model = bristle.load_model(wrong_unit)
+    records = bristle.load_records(DATA, wrong_unit)
+    seen = []
+    loaded = bristle.diagnose(model, records, progress=lambda text, share: seen.append(share))
+    assert (loaded.proposals, loaded.gap) == (by_path.proposals, by_path.gap)
+    mixed = bristle.diagnose(model, [records[0], str(DATA[1])])
+    assert (mixed.proposals, mixed.gap) == (by_path.proposals, by_path.gap)
+
+
+def test_one_record_is_loaded(wrong_unit):
+    record = bristle.load_record(DATA[0], wrong_unit)
+    assert isinstance(record, bristle.Record)
+    [same] = bristle.load_records(str(DATA[0]), bristle.load_model(wrong_unit))
+    np.testing.assert_array_equal(record.u, same.u)
+    one = bristle.diagnose(wrong_unit, record)
+    assert isinstance(one, bristle.Diagnosis)
+
+
+def test_a_file_with_a_gap_is_not_one_record(wrong_unit, tmp_path):
+    columns = dict(np.load(DATA[0]))
+    n = len(columns["t"])
+    kept = np.r_[0 : n // 2 - 500, n // 2 + 500 : n]
+    np.savez(tmp_path / "gap.npz", **{name: column[kept] for name, column in columns.items()})
+    with pytest.raises(bristle.BristleError, match="2 records; use load_records"):
+        bristle.load_record(tmp_path / "gap.npz", wrong_unit)
+
+
+def test_mistakes_are_found_before_the_work_begins(wrong_unit, tmp_path):
+    for arguments, keywords, words in (
+        ((None, DATA), {}, "nothing to diagnose"),
+        ((wrong_unit, []), {}, "no record"),
+        ((wrong_unit, DATA, tmp_path), {"choose": "cogs"}, "cogs"),
+        ((wrong_unit, [tmp_path / "no.csv"]), {}, "no.csv"),
+    ):
+        with pytest.raises(bristle.BristleError, match=words):
+            bristle.diagnose(*arguments, **keywords)
+    assert "cogs" not in effects()
