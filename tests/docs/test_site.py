@@ -1,0 +1,63 @@
+"""The documentation site builds without a dead link, a missing anchor or a page that no navigation names."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+pytest.importorskip("mkdocs")
+
+
+def build(config: Path, site: Path) -> subprocess.CompletedProcess[str]:
+    """Build a site strictly, without a network."""
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--config-file",
+        str(config),
+        "--site-dir",
+        str(site),
+    ]
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_site_builds_strictly(tmp_path):
+    done = build(ROOT / "mkdocs.yml", tmp_path / "site")
+    assert done.returncode == 0, done.stdout + done.stderr
+    first = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    assert "<h1" in first
+    assert 'src="http' not in first  # no script, font or picture of another place
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[a](missing.md)", "missing.md"),
+        ("[a](index.md#nowhere)", "nowhere"),
+        ("![a](missing.png)", "missing.png"),
+        ("a", "lost.md"),
+    ],
+)
+def test_a_dead_link_fails_the_build(tmp_path, text, named):
+    pages = tmp_path / "docs"
+    pages.mkdir()
+    (pages / "index.md").write_text(f"# Page\n\n{text}\n", encoding="utf-8")
+    if named == "lost.md":
+        (pages / "lost.md").write_text("# A page that the navigation does not name\n", encoding="utf-8")
+    config = tmp_path / "mkdocs.yml"
+    config.write_text(
+        f"INHERIT: {ROOT / 'mkdocs.yml'}\ndocs_dir: {pages}\nhooks: []\nnav: [index.md]\nextra_css: []\n", encoding="utf-8"
+    )
+    done = build(config, tmp_path / "site")
+    assert done.returncode != 0
+    assert named in done.stdout + done.stderr
