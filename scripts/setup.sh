@@ -1,4 +1,4 @@
-# Sourced by the other scripts: makes .venv beside the checkout and installs what is missing. $1: the extras wanted.
+# Sourced by the other scripts: makes .venv (or $BRISTLE_VENV) in the checkout and installs what is missing. $1: the extras wanted.
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cd "$root"
 
@@ -21,7 +21,7 @@ has_compiler() {
 extras=$1
 has_compiler || extras="${extras:+$extras,}cross"  # no C compiler on this machine: take zig from PyPI
 
-venv="$root/.venv"
+venv="$root/${BRISTLE_VENV:-.venv}"
 if ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then  # missing, or left half-made by an interruption
     rm -rf "$venv"
     python=$(find_python)
@@ -33,7 +33,7 @@ if ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then  # missing, or le
 fi
 stamp="$venv/installed-${extras:-core}"
 if [ ! -e "$stamp" ] || [ pyproject.toml -nt "$stamp" ]; then
-    echo "installing bristle${extras:+[$extras]} into .venv" >&2
+    echo "installing bristle${extras:+[$extras]} into ${venv#"$root/"}" >&2
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade "setuptools>=77" wheel
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-build-isolation -e ".${extras:+[$extras]}"
     touch "$stamp"
