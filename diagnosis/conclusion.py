@@ -63,7 +63,7 @@ def conclude(
     undecided = undecided_names(last)
     mute = () if named or undecided else unidentified_parameters(plain)
     verdict = "named" if named else unnamed(last, dataset.poor_excitation, left, mute)
-    intervals = estimates(model, whole, final.problem.only(dataset.segments.judged))
+    intervals = estimates(model, whole, final.problem.only(dataset.segments.counted))
     of = {v.best.name: v for v in rounds if v.best and v.named}
     effects = tuple(
         answer.Named(
@@ -161,23 +161,23 @@ def unnamed(last: SearchRound, narrow: str, left: answer.Remains, mute: Sequence
 def _traces(dataset: Dataset, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
     """Return what was measured and simulated, an average a bin, record by record, start states at their best as in the gap."""
     s, first, traces = dataset.segments, 0, []
-    whole = np.ones(len(dataset.held), dtype=bool)
+    whole = np.ones(len(dataset.held_out), dtype=bool)
     left = [np.where(fit.good[:, None], errors(fit, whole), np.nan) for fit in (before, after)]
     for piece in s.pieces:
-        n = len(piece.seen)
+        n = len(piece.measured)
         part = slice(first, first + n)
         time_ = piece.time + s.h * (s.width * np.arange(n * s.bins, dtype=np.float64) + (s.width - 1) / 2)
-        held = np.repeat(dataset.held[part], s.bins)
-        old, new = ((piece.seen - error[part]).ravel() for error in left)
+        held = np.repeat(dataset.held_out[part], s.bins)
+        old, new = ((piece.measured - error[part]).ravel() for error in left)
         u = piece.u.reshape(-1, s.width).mean(axis=1)
-        traces.append(answer.Trace(piece.name, time_, u, piece.seen.ravel(), old, new, held))
+        traces.append(answer.Trace(piece.name, time_, u, piece.measured.ravel(), old, new, held))
         first += n
     return tuple(traces)
 
 
 def _whole(dataset: Dataset, fitted: FittedModel) -> Fit:
     """Return the servo fitted to all segments, those kept from the search included."""
-    problem = fitted.problem.only(dataset.segments.judged)
+    problem = fitted.problem.only(dataset.segments.counted)
     return refit_nonsmooth(resume(problem, fitted.fit), lambda fit: problem, fitted.servo.effects)
 
 
@@ -218,13 +218,13 @@ def _along_axis(dataset: Dataset, share: Share) -> Share:
 
 def gap_between(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> answer.Gap:
     """Return mean squares over the segments that were kept from the search, and what the noise alone would give."""
-    before, after = mean_square(base.fit, dataset.held), mean_square(final.fit, dataset.held)
+    before, after = mean_square(base.fit, dataset.held_out), mean_square(final.fit, dataset.held_out)
     noise = final.problem.noise
     cover = np.linalg.inv(noise.whiten)
     covariance_ = cover @ cover.T
-    live = dataset.held & final.fit.good
+    live = dataset.held_out & final.fit.good
     floor = []
-    for columns in final.fit.raw_by_start[live]:
+    for columns in final.fit.output_by_initial[live]:
         q, r = np.linalg.qr(columns)
         q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(r).max(), 1e-300)]
         floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
@@ -244,7 +244,7 @@ def known_floor(gap: answer.Gap, mixed: bool) -> answer.Gap:
 
 def fall_between(dataset: Dataset, base: FittedModel, final: FittedModel) -> float:
     """Return the factor by which the error fell over the segments that were kept from the search."""
-    return fall(squares(base.fit, dataset.held), squares(final.fit, dataset.held))
+    return fall(squares(base.fit, dataset.held_out), squares(final.fit, dataset.held_out))
 
 
 def _round(v: SearchRound) -> answer.Round:

@@ -24,7 +24,7 @@ from bristle.diagnosis.estimation.dataset import (
 )
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_from_several_starts, has_diverged
 from bristle.diagnosis.estimation.likelihood import Point, Problem, evaluate, mean_square
-from bristle.diagnosis.estimation.noise import Noise
+from bristle.diagnosis.estimation.noise import white_noise
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, Servo, free_parameters, inactive_values
 from bristle.diagnosis.localisation.views import TURN_EFFECTS
 from bristle.diagnosis.modelfile import NO_LIMIT, Model
@@ -119,7 +119,7 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
     free = []
     for name, (low, high) in model.bounds.items():
         doubt = max(2.0 * abs(given[name]), 0.5 * (high - low), 1e-12)
-        free.append(Free(name, low, high, nominal=given[name], doubt=doubt))
+        free.append(Free(name, low, high, nominal=given[name], prior_sd=doubt))
     values, dry = dict(given), f"{model.friction}.Fc" in given and not find_law(model.friction).states
     rigid = dry and not set(model.effects) & set(BRISTLE_EFFECTS)
     if dry:
@@ -149,7 +149,7 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
     for f in free_parameters(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in inactive}, {}):
         value = given[f.name.removeprefix(f"{effect}.")]
         nominal = math.log(value) if f.factor else value
-        yield replace(f, nominal=nominal, doubt=1.0 if f.factor else 2.0 * abs(value)) if value else f
+        yield replace(f, nominal=nominal, prior_sd=1.0 if f.factor else 2.0 * abs(value)) if value else f
 
 
 def prepare_model(model: Model, records: Sequence[Record], dataset: Dataset) -> tuple[Dataset, FittedModel, list[str]]:
@@ -173,7 +173,7 @@ def prepare_model(model: Model, records: Sequence[Record], dataset: Dataset) -> 
 def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:
     """Return the mean squared error of a servo as it is [output squared]; NaN if every simulation of a segment fails."""
     s = dataset.segments
-    problem = Problem.of(s, Noise(np.eye(s.bins), 0.0, 0.0, 1.0, 1.0), s.judged)
-    fit = evaluate(problem, Point(servo.simulator(s), servo.free, dict(values), s.starts))
+    problem = Problem.of(s, white_noise(s.bins, 1.0), s.counted)
+    fit = evaluate(problem, Point(servo.simulator(s), servo.free, dict(values), s.initial))
     live = fit.weight > 0
     return mean_square(fit, live) if live.any() else math.nan

@@ -69,7 +69,7 @@ def _with(dataset: Dataset, fitted: FittedModel, share: float) -> tuple[float, F
     """
     pieces = tuple(replace(piece, u=mixed(piece.u, share)) for piece in dataset.segments.pieces)
     simulator = fitted.servo.simulator(replace(dataset.segments, pieces=pieces))
-    fit = evaluate(fitted.problem, Point(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.starts))
+    fit = evaluate(fitted.problem, Point(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.initial))
     return value_under_noise(fit, partial(under_own_noise, dataset))
 
 

@@ -46,9 +46,9 @@ class Piece:
     name: str
     time: float
     u: Array
-    seen: Array
-    starts: Array
-    spread: Array
+    measured: Array
+    initial: Array
+    initial_sd: Array
 
 
 @dataclass(frozen=True)
@@ -61,29 +61,29 @@ class Segments(Grid):
     pieces: tuple[Piece, ...]
 
     @property
-    def seen(self) -> Array:
+    def measured(self) -> Array:
         """Measured averages (segments, bins)."""
-        return np.concatenate([piece.seen for piece in self.pieces])
+        return np.concatenate([piece.measured for piece in self.pieces])
 
     @property
-    def starts(self) -> Array:
+    def initial(self) -> Array:
         """Measured states at the starts of the segments (segments, 2)."""
-        return np.concatenate([piece.starts for piece in self.pieces])
+        return np.concatenate([piece.initial for piece in self.pieces])
 
     @property
-    def spread(self) -> Array:
-        """Standard deviations of `starts`."""
-        return np.concatenate([piece.spread for piece in self.pieces])
+    def initial_sd(self) -> Array:
+        """Standard deviations of `initial`."""
+        return np.concatenate([piece.initial_sd for piece in self.pieces])
 
     @property
-    def judged(self) -> Mask:
+    def counted(self) -> Mask:
         """False for the first segment of each record."""
         return self.block > 0
 
     @property
     def block(self) -> NDArray[np.int_]:
         """Number of each segment within its record."""
-        return np.concatenate([np.arange(len(piece.seen)) for piece in self.pieces])
+        return np.concatenate([np.arange(len(piece.measured)) for piece in self.pieces])
 
 
 @dataclass(frozen=True)
@@ -121,14 +121,14 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
     level = smooth(y, h, STATE_SMOOTHING)
     noise = max(resolution / np.sqrt(12), float(np.std(y - level)), 1e-12)
     if grid.velocity:
-        starts = np.column_stack([np.zeros(n), level[first]])
-        spread = np.column_stack([np.ones(n), np.full(n, 10 * noise)])
+        initial = np.column_stack([np.zeros(n), level[first]])
+        initial_sd = np.column_stack([np.ones(n), np.full(n, 10 * noise)])
     else:
         v = smooth(y, h, STATE_SMOOTHING, 1)
-        starts = np.column_stack([level[first], v[first]])
-        spread = np.column_stack([np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])])
-    seen = y[: n * length].reshape(n, bins, width).mean(axis=2)
-    return Piece(name, time, np.ascontiguousarray(u[: n * length]), seen, starts, spread)
+        initial = np.column_stack([level[first], v[first]])
+        initial_sd = np.column_stack([np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])])
+    measured = y[: n * length].reshape(n, bins, width).mean(axis=2)
+    return Piece(name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd)
 
 
 def motion(segments: Segments, outputs: list[Array], resolution: float, half: float) -> Motion:
@@ -158,7 +158,7 @@ class Dataset:
         The records, and their smoothed motion.
     resolution : float
         Step of the sensor [unit of the output].
-    least : float
+    least_sd : float
         Standard deviation of an average below which the sensor's noise cannot be [unit of the output].
     poor_excitation : str
         Why the records do not tell effects apart by their form; empty if they do.
@@ -175,7 +175,7 @@ class Dataset:
     segments: Segments
     motion: Motion
     resolution: float
-    least: float
+    least_sd: float
     poor_excitation: str = ""
     excluded: Mapping[str, str] = field(default_factory=dict)
     linear: bool = False
@@ -185,21 +185,21 @@ class Dataset:
     @cached_property
     def train(self) -> Mask:
         """Segments that the search uses."""
-        return np.asarray(self.segments.judged & ~self.held)
+        return np.asarray(self.segments.counted & ~self.held_out)
 
     @cached_property
-    def held(self) -> Mask:
+    def held_out(self) -> Mask:
         """Segments held out from the search: none with an extreme of position or input, which may show something unique.
 
         If no other is left, as in a record of two seconds, those with an extreme are held out too, or the last one.
         """
         m = self.motion
-        judged = np.repeat(self.segments.judged, len(m.theta) // len(self.segments.judged))
-        ends = [int(np.argmax(np.where(judged, side * x, -np.inf))) for x in (m.theta, m.u) for side in (1, -1)]
-        free = np.ones(len(self.segments.judged), dtype=bool)
+        counted = np.repeat(self.segments.counted, len(m.theta) // len(self.segments.counted))
+        ends = [int(np.argmax(np.where(counted, side * x, -np.inf))) for x in (m.theta, m.u) for side in (1, -1)]
+        free = np.ones(len(self.segments.counted), dtype=bool)
         free[np.array(ends) * len(free) // len(m.theta)] = False
-        every = self.segments.judged & (self.segments.block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
-        last = np.arange(len(free)) == np.flatnonzero(self.segments.judged)[-1]
+        every = self.segments.counted & (self.segments.block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
+        last = np.arange(len(free)) == np.flatnonzero(self.segments.counted)[-1]
         return next(np.asarray(mask) for mask in (every & free, every, last) if mask.any())
 
     def noise(self, residual: Array, weight: Array, values: Mapping[str, float], slowest: float = 0.0) -> Noise:
@@ -212,4 +212,4 @@ class Dataset:
         in_motion = weight * share
         weight = in_motion if np.count_nonzero(in_motion > 0.5) >= LEAST_NOISE_SEGMENTS else weight
         pulses = response(values["J"], values["a2"], s.h, s.width, s.bins, s.velocity)
-        return estimate(residual, weight, pulses, s.h, self.least, slowest)
+        return estimate(residual, weight, pulses, s.h, self.least_sd, slowest)

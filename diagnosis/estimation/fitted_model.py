@@ -68,11 +68,11 @@ def _alternate(dataset: Dataset, fit: Fit) -> Fit:
 
 def fit_with_noise(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> FittedModel:
     """Fit a servo and its noise in turn, from given values."""
-    simulator, starts = servo.simulator(dataset.segments), dataset.segments.starts
-    simulated, _, good, _ = simulator.run(values, starts)
-    residual = np.where(good[:, None], dataset.segments.seen - simulated, 0.0)
+    simulator, initial = servo.simulator(dataset.segments), dataset.segments.initial
+    simulated, _, good, _ = simulator.run(values, initial)
+    residual = np.where(good[:, None], dataset.segments.measured - simulated, 0.0)
     noise = dataset.noise(residual, (dataset.train & good).astype(float), values)
-    problem, point = Problem.of(dataset.segments, noise, dataset.train), Point(simulator, servo.free, dict(values), starts)
+    problem, point = Problem.of(dataset.segments, noise, dataset.train), Point(simulator, servo.free, dict(values), initial)
     fit = refit_with_noise(dataset, refit(problem, point, NOISE_FIT_ITERATIONS, ROUGH_STOP_GAIN))
     problem = under_own_noise(dataset, fit)
     return FittedModel(servo, problem, resume(problem, fit))
@@ -105,7 +105,7 @@ def reduced_friction_start(fitted: FittedModel) -> dict[str, float]:
 
 def balanced_model(dataset: Dataset, fitted: FittedModel) -> BalancedModel:
     """Return the model fitted to the balance of torques along the measured motion."""
-    balance = Balance(dataset.segments, dataset.motion, fitted.problem.judged, fitted.servo.fixed)
+    balance = Balance(dataset.segments, dataset.motion, fitted.problem.counted, fitted.servo.fixed)
     return BalancedModel(balance, fitted.servo, fitted.fit.values, dataset.noise)
 
 
@@ -113,7 +113,7 @@ def relative_error(dataset: Dataset, fit: Fit) -> float:
     """Return the squared error over that of the motion within segments, less a straight line each."""
     s = dataset.segments
     ramp = np.linalg.qr(np.column_stack([np.ones(s.bins), np.linspace(-1.0, 1.0, s.bins)]))[0]
-    moved = (s.seen - (s.seen @ ramp) @ ramp.T)[dataset.train]
+    moved = (s.measured - (s.measured @ ramp) @ ramp.T)[dataset.train]
     return mean_square(fit, dataset.train) / max(float(np.mean(np.square(moved))), 1e-300)
 
 

@@ -19,12 +19,12 @@ PLAY_SIDES = (-1.0, 0.0, 1.0)  # half plays: places at which a load with free pl
 def stepped_states(problem: Problem, fit: Fit, step: Array) -> Array:
     """Return the initial states (segments, width) after a step, at most four standard deviations from their prior means."""
     mean, deviation = problem.prior_states(fit.simulator, fit.values)
-    return np.asarray(np.clip(fit.starts + step, mean - 4 * deviation, mean + 4 * deviation))
+    return np.asarray(np.clip(fit.initial + step, mean - 4 * deviation, mean + 4 * deviation))
 
 
 def gain_of_trial(problem: Problem, fit: Fit, trial: Fit) -> float:
     """Return by how much a trial is likelier, each with its initial states as they are [nats]."""
-    return float((trial.score_at_starts - fit.score_at_starts)[problem.judged].sum()) + trial.prior - fit.prior
+    return float((trial.score_at_initial - fit.score_at_initial)[problem.counted].sum()) + trial.prior - fit.prior
 
 
 def initialise_load(problem: Problem, fit: Fit, steps: int = 0) -> Fit:
@@ -37,21 +37,21 @@ def initialise_load(problem: Problem, fit: Fit, steps: int = 0) -> Fit:
         return fit
     ends = [refine_initial_states(problem, fit, steps)]
     for side in PLAY_SIDES:
-        starts = fit.starts.copy()
-        starts[:, 2:] = side, 0.0
-        ends.append(refine_initial_states(problem, evaluate(problem, fit.at(starts=starts)), steps))
-    whole = problem.only(np.ones_like(problem.judged))
-    worth = [end.score_at_starts if steps else rescored(whole, end).score for end in ends]
+        initial = fit.initial.copy()
+        initial[:, 2:] = side, 0.0
+        ends.append(refine_initial_states(problem, evaluate(problem, fit.at(initial=initial)), steps))
+    whole = problem.only(np.ones_like(problem.counted))
+    worth = [end.score_at_initial if steps else rescored(whole, end).score for end in ends]
     return merge_fits(problem, ends, np.argmax(worth, axis=0))
 
 
 def refine_initial_states(problem: Problem, fit: Fit, steps: int) -> Fit:
     """Return a fit after so many steps of the initial states of all segments, each step kept where it helps."""
-    trust = np.ones(len(fit.starts))
+    trust = np.ones(len(fit.initial))
     for _ in range(steps):
         around = stepped_states(problem, fit, trust[:, None] * fit.elimination.step(fit.elimination.gradient))
-        trial = evaluate(problem, fit.at(starts=around))
-        better = trial.score_at_starts > fit.score_at_starts
+        trial = evaluate(problem, fit.at(initial=around))
+        better = trial.score_at_initial > fit.score_at_initial
         trust = np.where(better, np.minimum(2 * trust, 1.0), 0.25 * trust)
         fit = merge_fits(problem, [fit, trial], better.astype(int))
     return fit
@@ -64,7 +64,7 @@ def merge_fits(problem: Problem, fits: Sequence[Fit], which: NDArray[np.int_]) -
         return np.stack([of(fit) for fit in fits])[which, np.arange(len(which))]
 
     found = Linearised(
-        picked(lambda f: f.residual), picked(lambda f: f.by_parameter), picked(lambda f: f.elimination.by_start),
-        picked(lambda f: f.raw_by_start), picked(lambda f: f.good),
+        picked(lambda f: f.residual), picked(lambda f: f.by_parameter), picked(lambda f: f.elimination.by_initial),
+        picked(lambda f: f.output_by_initial), picked(lambda f: f.good),
     )  # fmt: skip
-    return scored(problem, fits[0].at(starts=picked(lambda f: f.starts)), found)
+    return scored(problem, fits[0].at(initial=picked(lambda f: f.initial)), found)

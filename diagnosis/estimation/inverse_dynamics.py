@@ -1,16 +1,14 @@
-"""Torques along the measured motion against the measured output: where a fit of the model with an effect may start.
+"""Inverse dynamics: torques along the measured motion against the measured output, for start values of a fit.
 
-A simulation that starts from a bad model can stand still where the rig moves, and then nothing that is changed a little
-changes anything. Along the measured motion no such trap is there: the acceleration that model and effect give is
-integrated twice and compared with what was measured. Noise in the motion makes this worse than a simulation near the
-answer; it is made to find the neighbourhood, not to decide.
+A simulation from a bad model may stick where the rig moves, and then its derivatives vanish. Along the measured motion
+this cannot happen: the acceleration of model and effect is integrated twice and compared with the measured output. Noise of
+the motion makes the estimates less accurate than those of a simulation: they serve as start values only.
 
 Source: janot2019 (inverse dynamic model, linear in most parameters), in integral form to avoid differentiating the output.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -23,7 +21,7 @@ from numpy.typing import NDArray
 from bristle.common.errors import NotStaticError
 from bristle.diagnosis.estimation.dataset import Motion, Segments
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, moved
-from bristle.diagnosis.estimation.noise import Noise, response
+from bristle.diagnosis.estimation.noise import Noise, response, white_noise
 from bristle.diagnosis.estimation.optimiser import STOP_GAIN
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free, Servo
 from bristle.model.python import for_arrays
@@ -32,10 +30,11 @@ from bristle.plant.friction import law as find_law
 from bristle.plant.servo import servo
 
 Array = NDArray[np.float64]
-BALANCE_ITERATIONS, BALANCE_SCREENING_ITERATIONS = 12, 4  # steps of a fit; of one that only compares starts
-BALANCE_NOISE_PASSES = 2  # times that noise and parameters are estimated in turn
-BALANCE_DAMPING = 1e-3
-BALANCE_INPUTS = ("theta", "v", "u", "time")
+BALANCE_ITERATIONS = 12  # steps of a fit
+BALANCE_SCREENING_ITERATIONS = 4  # steps of a fit that only compares start values
+BALANCE_NOISE_PASSES = 2  # alternations of noise and parameters
+BALANCE_DAMPING = 1e-3  # Levenberg-Marquardt damping at the start, relative to the curvature
+BALANCE_INPUTS = ("theta", "v", "u", "time")  # on which alone the acceleration may depend
 
 
 @lru_cache(maxsize=64)
@@ -53,17 +52,18 @@ def _acceleration(
         backward = system.dry.bound if system.dry.backward is None else system.dry.backward
         rate = rate - ca.if_else(v > 0, system.dry.bound, -backward) / system.dry.inertia
     names = tuple(system.parameters)
-    seen = [system.symbols[name] if name != "time" else system.time for name in BALANCE_INPUTS]
+    inputs = [system.symbols[name] if name != "time" else system.time for name in BALANCE_INPUTS]
     given = [system.symbols[name] for name in names]
     still = {"tau_load": 0.0, "load_scale": 1.0}
     rate = ca.substitute(system.expand(rate), ca.vertcat(*(system.symbols[name] for name in still)), ca.DM(list(still.values())))
     both = ca.vertcat(rate, *(ca.jacobian(rate, system.symbols[name]) for name in free))
-    return for_arrays(ca.Function("balance", [ca.vertcat(*seen, *given)], ca.cse([ca.densify(both)]))), names
+    return for_arrays(ca.Function("balance", [ca.vertcat(*inputs, *given)], ca.cse([ca.densify(both)]))), names
 
 
 @dataclass(frozen=True)
-class Found:
-    """Parameters that balance the torques, the log-likelihood of that [nats, up to a constant], whitened residuals."""
+class Balanced:
+    """Parameters that balance the torques, their log-likelihood [nats, up to a constant], whitened residuals (segments,
+    bins) and weights (segments,)."""
 
     values: dict[str, float]
     total: float
@@ -72,21 +72,21 @@ class Found:
 
 
 class Balance:
-    """The measured motion of the judged segments, an average a bin.
+    """The measured motion of the segments that count, as an average per bin.
 
     Parameters
     ----------
     segments, motion : Segments, Motion
         The records, and their smoothed motion.
-    judged : ndarray of bool, shape (segments,)
+    counted : ndarray of bool, shape (segments,)
         Which segments count.
     fixed : mapping
-        Values of parameters that the servo has beside those that are given later.
+        Settings of the simulation, which are no parameters of a fit.
     """
 
-    def __init__(self, segments: Segments, motion: Motion, judged: NDArray[np.bool_], fixed: Mapping[str, float]) -> None:
-        s, self._judged, self._fixed = segments, judged, fixed
-        self.shape, self.step = (len(s.seen), s.bins), s.h * s.width
+    def __init__(self, segments: Segments, motion: Motion, counted: NDArray[np.bool_], fixed: Mapping[str, float]) -> None:
+        s, self._counted, self._fixed = segments, counted, fixed
+        self.shape, self.step = (len(s.measured), s.bins), s.h * s.width
 
         def mean(x: Array) -> Array:
             return np.asarray(x.reshape(-1, s.width).mean(axis=1))
@@ -98,44 +98,44 @@ class Balance:
         self._moving = self.motion.moving.reshape(self.shape)
         fine = response(1.0, 0.0, s.h, s.width, s.bins, s.velocity)
         self._pulses = fine.reshape(s.bins, s.bins, s.width).sum(axis=2)
-        self._seen = s.seen
+        self._measured = s.measured
         t = np.linspace(-1.0, 1.0, s.bins)
         self._start = np.ones((s.bins, 1)) if s.velocity else np.column_stack([np.ones(s.bins), t])
-        self._whiten(_white(s.bins, 1.0))
+        self._whiten(white_noise(s.bins, 1.0))
 
     def under(self, noise: Noise) -> Balance:
-        """Return the same under another noise; start states are taken out of everything."""
+        """Return the same under another noise; initial states are projected out."""
         other = copy(self)
         other._whiten(noise)
         return other
 
-    def evenly(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Balance:
-        """Return the same under a white noise as large as what is left."""
-        left = self.under(_white(len(self._start), 1.0))._white_of(self.left(law, effects, values))
-        return self.under(_white(len(self._start), max(float(np.sqrt(np.mean(left[self._judged] ** 2))), 1e-12)))
+    def under_white_noise(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Balance:
+        """Return the same under a white noise as large as the residual."""
+        white = self.under(white_noise(len(self._start), 1.0))._project_averages(self.residual(law, effects, values))
+        return self.under(white_noise(len(self._start), max(float(np.sqrt(np.mean(white[self._counted] ** 2))), 1e-12)))
 
-    def _white_of(self, averages: Array) -> Array:
+    def _project_averages(self, averages: Array) -> Array:
         return np.asarray(averages @ self._project.T)
 
     def _whiten(self, noise: Noise) -> None:
         q = np.linalg.qr(noise.whiten @ self._start)[0]
         self._project = noise.whiten - q @ (q.T @ noise.whiten)
         self._through = self._project @ self._pulses
-        self._white, self._log_det = self._white_of(self._seen), noise.log_det
+        self._white, self._log_det = self._project_averages(self._measured), noise.log_det
 
-    def pull(self, acceleration: Array) -> Array:
-        """Return what accelerations (points, k) do to the whitened averages (segments, bins, k); at rest, nothing."""
+    def respond(self, acceleration: Array) -> Array:
+        """Return the response (segments, bins, k) of the whitened averages to accelerations (points, k), which are 0 at rest."""
         held = acceleration.reshape(*self.shape, -1) * self._moving[:, :, None]
         return np.asarray(np.einsum("nl,slk->snk", self._through, held, optimize=True))
 
     def weight(self, residual: Array) -> Array:
-        """Return 1 for segments that count."""
-        return (self._judged & np.isfinite(residual).all(axis=1)).astype(float)
+        """Return 1 for segments that count (segments,), else 0."""
+        return (self._counted & np.isfinite(residual).all(axis=1)).astype(float)
 
-    def _along(
+    def _acceleration_along(
         self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]
     ) -> tuple[Array, Array]:
-        """Return accelerations (points,) along the motion and their slopes (points, free), on the scale each moves on."""
+        """Return accelerations (points,) along the motion and their slopes (points, free) on each parameter's scale."""
         function, names = _acceleration(law, effects, tuple(f.name for f in free))
         known = {**_defaults(law, effects), **self._fixed, **values}
         m = self.motion
@@ -147,14 +147,14 @@ class Balance:
     def evaluate(
         self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]
     ) -> tuple[Array, Array]:
-        """Return whitened residuals (segments, bins) and the slopes (segments, bins, free) of what they are compared with."""
-        a, by = self._along(law, effects, free, values)
-        return self._white - self.pull(a[:, None])[:, :, 0], self.pull(by)
+        """Return whitened residuals (segments, bins) and the slopes (segments, bins, free) of the model's averages."""
+        a, by = self._acceleration_along(law, effects, free, values)
+        return self._white - self.respond(a[:, None])[:, :, 0], self.respond(by)
 
-    def left(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Array:
-        """Return what is left of the averages (segments, bins) [unit of the output], start states not taken out."""
-        a, _ = self._along(law, effects, (), values)
-        return np.asarray(self._seen - (a.reshape(self.shape) * self._moving) @ self._pulses.T)
+    def residual(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Array:
+        """Return the residual of the averages (segments, bins) [unit of the output], initial states not projected out."""
+        a, _ = self._acceleration_along(law, effects, (), values)
+        return np.asarray(self._measured - (a.reshape(self.shape) * self._moving) @ self._pulses.T)
 
     def fit(
         self,
@@ -163,10 +163,10 @@ class Balance:
         free: tuple[Free, ...],
         values: Mapping[str, float],
         steps: int = BALANCE_ITERATIONS,
-    ) -> Found:
-        """Return the parameters in their intervals that balance the torques best, from given values.
+    ) -> Balanced:
+        """Return the parameters in their intervals that balance the torques best, from start values.
 
-        Levenberg-Marquardt; segments have a t distribution, as in the simulation.
+        Levenberg-Marquardt; misfits have a t distribution, as those of a simulation.
         """
         best = self._at(law, effects, free, {**values, **{f.name: f.clip(values[f.name]) for f in free}})
         damping = BALANCE_DAMPING
@@ -192,20 +192,20 @@ class Balance:
                 break
         return best[0]
 
-    def _at(self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: dict[str, float]) -> tuple[Found, Array]:
+    def _at(self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: dict[str, float]) -> tuple[Balanced, Array]:
         residual, slopes = self.evaluate(law, effects, free, values)
         finite = np.asarray(np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2)))
         residual, slopes = np.where(finite[:, None], residual, 1e3), np.where(finite[:, None, None], slopes, 0.0)
         n = residual.shape[1] - self._start.shape[1]
         misfit = np.square(residual).sum(axis=1)
-        weight = np.where(self._judged, (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit), 0.0)
+        weight = np.where(self._counted, (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit), 0.0)
         score = 0.5 * (T_DEGREES_OF_FREEDOM + n) * np.log1p(misfit / T_DEGREES_OF_FREEDOM) + 0.5 * self._log_det
-        total = -float(score[self._judged].sum())
-        return Found(values, total, residual, weight), slopes
+        total = -float(score[self._counted].sum())
+        return Balanced(values, total, residual, weight), slopes
 
-    def regress(self, found: Found, own: Array, inertia: float, torques: Array) -> tuple[Array, float]:
-        """Return coefficients (k,) of torques (points, k) [N.m] beside the model's own slopes, and what they gain [nats]."""
-        columns = self.pull(torques / inertia)
+    def regress(self, found: Balanced, own: Array, inertia: float, torques: Array) -> tuple[Array, float]:
+        """Return coefficients (k,) of torques (points, k) [N.m] beside the model's own slopes, and their gain [nats]."""
+        columns = self.respond(torques / inertia)
         k = columns.shape[2]
         both = np.concatenate([columns, own], axis=2)
         normal = np.einsum("s,snp,snq->pq", found.weight, both, both, optimize=True)
@@ -225,15 +225,15 @@ class BalancedModel:
     balance : Balance
         The measured motion.
     servo : Servo
-        Law and effects so far, with their free parameters.
+        Law and effects, with their free parameters.
     values : mapping
-        Where these stand.
+        Start values of these.
     estimate : function
         Returns the noise of a residual (segments, bins), given the weights of segments and the values of parameters.
 
     Attributes
     ----------
-    fits : list of (Balance, Found)
+    fits : list of (Balance, Balanced)
         Empty where the model has hidden states, so that a balance does not determine the acceleration.
     """
 
@@ -247,33 +247,29 @@ class BalancedModel:
         self.servo, self._estimate = servo, estimate
         self.free = tuple(f for f in servo.free if not f.name.startswith(f"{OWN_BRISTLES}."))
         given = {name: value for name, value in values.items() if not name.startswith(f"{OWN_BRISTLES}.")}
-        # a large effect hides in the noise that the model without it leaves: white noise lets slow residuals count too
-        self.fits: list[tuple[Balance, Found]] = []
+        # the coloured noise of a model without an effect absorbs a large effect; white noise does not
+        self.fits: list[tuple[Balance, Balanced]] = []
         try:
-            plain = balance.evenly(servo.law, servo.effects, given)
+            plain = balance.under_white_noise(servo.law, servo.effects, given)
             found = plain.fit(servo.law, servo.effects, self.free, given)
             self.fits = [(plain, found), self.refit_with_noise(plain, servo.effects, self.free, found)]
         except NotStaticError:
             pass
 
     def refit_with_noise(
-        self, balance: Balance, effects: tuple[str, ...], free: tuple[Free, ...], found: Found
-    ) -> tuple[Balance, Found]:
-        """Return a fit under the noise that it leaves."""
+        self, balance: Balance, effects: tuple[str, ...], free: tuple[Free, ...], found: Balanced
+    ) -> tuple[Balance, Balanced]:
+        """Return a fit under the noise of its own residual."""
         for _ in range(BALANCE_NOISE_PASSES):
-            left = balance.left(self.servo.law, effects, found.values)
-            balance = balance.under(self._estimate(left, balance.weight(left), found.values))
+            residual = balance.residual(self.servo.law, effects, found.values)
+            balance = balance.under(self._estimate(residual, balance.weight(residual), found.values))
             found = balance.fit(self.servo.law, effects, free, found.values)
         return balance, found
 
     @property
     def models(self) -> list[dict[str, float]]:
-        """Parameters with which the model alone balances the torques."""
+        """Parameters with which the model without further effects balances the torques."""
         return [found.values for _, found in self.fits]
-
-
-def _white(bins: int, level: float) -> Noise:
-    return Noise(np.eye(bins) / level, 2 * bins * math.log(level), 0.0, 1.0, level)
 
 
 @lru_cache(maxsize=64)

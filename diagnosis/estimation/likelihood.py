@@ -29,7 +29,7 @@ class Elimination:
 
     Attributes
     ----------
-    by_start : ndarray, shape (segments, bins, width)
+    by_initial : ndarray, shape (segments, bins, width)
         Derivatives of the whitened averages.
     gradient : ndarray, shape (segments, width)
         Gradient of the log-likelihood, prior knowledge of the initial states included.
@@ -39,23 +39,23 @@ class Elimination:
     Source: golub2003 (elimination of linear unknowns).
     """
 
-    by_start: Array
+    by_initial: Array
     gradient: Array
     inverse: Array
 
     @classmethod
-    def of(cls, by_start: Array, white: Array, precision: Array, offset: Array) -> Elimination:
+    def of(cls, by_initial: Array, white: Array, precision: Array, offset: Array) -> Elimination:
         """Return it for a whitened residual (segments, bins); the prior mean of the initial states lies `offset` from them."""
-        turned = by_start.transpose(0, 2, 1)
-        normal = np.matmul(turned, by_start)
-        each = np.arange(by_start.shape[2])
+        turned = by_initial.transpose(0, 2, 1)
+        normal = np.matmul(turned, by_initial)
+        each = np.arange(by_initial.shape[2])
         normal[:, each, each] = normal[:, each, each] * (1 + STATE_SEPARATION) + precision
         gradient = np.matmul(turned, white[:, :, None])[:, :, 0] + precision * offset
-        return cls(by_start, gradient, np.linalg.inv(normal))
+        return cls(by_initial, gradient, np.linalg.inv(normal))
 
     def cross(self, columns: Array) -> Array:
         """Return the products (segments, width, k) with whitened columns (segments, bins, k)."""
-        return np.asarray(np.matmul(self.by_start.transpose(0, 2, 1), columns))
+        return np.asarray(np.matmul(self.by_initial.transpose(0, 2, 1), columns))
 
     def step(self, gradient: Array) -> Array:
         """Return the Gauss-Newton step of the initial states (segments, width) for a gradient (segments, width)."""
@@ -63,7 +63,7 @@ class Elimination:
 
     def project(self, columns: Array) -> Array:
         """Return whitened columns (segments, bins, k) less what other initial states could explain."""
-        return np.asarray(columns - np.matmul(self.by_start, np.matmul(self.inverse, self.cross(columns))))
+        return np.asarray(columns - np.matmul(self.by_initial, np.matmul(self.inverse, self.cross(columns))))
 
 
 @dataclass(frozen=True)
@@ -73,16 +73,16 @@ class Point:
     simulator: Simulator
     free: tuple[Free, ...]
     values: dict[str, float]
-    starts: Array
+    initial: Array
 
-    def at(self, values: Mapping[str, float] | None = None, starts: Array | None = None) -> Point:
+    def at(self, values: Mapping[str, float] | None = None, initial: Array | None = None) -> Point:
         """Return the point with other values, initial states, or both."""
-        values, starts = self.values if values is None else dict(values), self.starts if starts is None else starts
-        return Point(self.simulator, self.free, values, starts)
+        values, initial = self.values if values is None else dict(values), self.initial if initial is None else initial
+        return Point(self.simulator, self.free, values, initial)
 
     def fixed(self) -> Point:
         """Return the point with no parameter free."""
-        return Point(self.simulator, (), self.values, self.starts)
+        return Point(self.simulator, (), self.values, self.initial)
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,9 @@ class Linearised:
     ----------
     residual : ndarray, shape (segments, bins)
         Measured less simulated averages.
-    by_parameter, by_start : ndarray, shape (segments, bins, free or width)
+    by_parameter, by_initial : ndarray, shape (segments, bins, free or width)
         Derivatives of the whitened averages.
-    raw_by_start : ndarray, shape (segments, bins, width)
+    output_by_initial : ndarray, shape (segments, bins, width)
         Derivatives of the averages by the initial states.
     good : ndarray of bool, shape (segments,)
         False where the simulation failed.
@@ -103,8 +103,8 @@ class Linearised:
 
     residual: Array
     by_parameter: Array
-    by_start: Array
-    raw_by_start: Array
+    by_initial: Array
+    output_by_initial: Array
     good: Mask
 
 
@@ -116,9 +116,9 @@ class Fit(Point):
     ----------
     score : ndarray, shape (segments,)
         Log-likelihood of each segment [nats], initial states eliminated; 0 for segments that do not count.
-    score_at_starts : ndarray, shape (segments,)
+    score_at_initial : ndarray, shape (segments,)
         The same with the initial states as they are, for all segments.
-    residual, raw_by_start, by_parameter, good
+    residual, output_by_initial, by_parameter, good
         As of `Linearised`.
     white : ndarray, shape (segments, bins)
         Whitened residual.
@@ -135,12 +135,12 @@ class Fit(Point):
     """
 
     score: Array
-    score_at_starts: Array
+    score_at_initial: Array
     residual: Array
     white: Array
     by_parameter: Array
     elimination: Elimination
-    raw_by_start: Array
+    output_by_initial: Array
     weight: Array
     information: Array
     good: Mask
@@ -174,74 +174,74 @@ class Fit(Point):
 
 @dataclass(frozen=True)
 class Problem:
-    """What all models of a dataset share: noise, the segments that count (`judged`), measured averages and initial states."""
+    """What all models of a dataset share: noise, the segments that count (`counted`), measured averages and initial states."""
 
     noise: Noise
-    judged: Mask
-    seen: Array
-    starts: Array
-    spread: Array
+    counted: Mask
+    measured: Array
+    initial: Array
+    initial_sd: Array
 
     @classmethod
-    def of(cls, segments: Segments, noise: Noise, judged: Mask) -> Problem:
+    def of(cls, segments: Segments, noise: Noise, counted: Mask) -> Problem:
         """Return the problem of these segments."""
-        return cls(noise, judged, segments.seen, segments.starts, segments.spread)
+        return cls(noise, counted, segments.measured, segments.initial, segments.initial_sd)
 
     def only(self, mask: Mask) -> Problem:
         """Return the same with other segments that count."""
-        return replace(self, judged=mask)
+        return replace(self, counted=mask)
 
     def prior_states(self, simulator: Simulator, values: Mapping[str, float]) -> tuple[Array, Array]:
         """Return mean and standard deviation of all initial states of a simulator by prior knowledge (segments, width)."""
-        hidden = np.tile(simulator.hidden_spread(values), (len(self.starts), 1))
-        return np.hstack([self.starts, np.zeros_like(hidden)]), np.hstack([self.spread, hidden])
+        hidden = np.tile(simulator.hidden_spread(values), (len(self.initial), 1))
+        return np.hstack([self.initial, np.zeros_like(hidden)]), np.hstack([self.initial_sd, hidden])
 
 
 def evaluate(problem: Problem, point: Point) -> Fit:
     """Simulate at a point and return its likelihood with derivatives."""
     simulator, values = point.simulator, point.values
-    seen, sens, good, starts = simulator.run(values, point.starts, jacobian=True)
+    simulated, sens, good, initial = simulator.run(values, point.initial, jacobian=True)
     assert sens is not None
-    good = good & (np.abs(seen).max(axis=1) < FAILED_OUTPUT) & (np.abs(sens).max(axis=(1, 2)) < FAILED_OUTPUT)
-    residual = np.where(good[:, None], problem.seen - seen, 0.0)
+    good = good & (np.abs(simulated).max(axis=1) < FAILED_OUTPUT) & (np.abs(sens).max(axis=(1, 2)) < FAILED_OUTPUT)
+    residual = np.where(good[:, None], problem.measured - simulated, 0.0)
     sens = np.where(good[:, None, None], sens, 0.0)
     index = [simulator.names.index(f.name) for f in point.free]
     scale = np.array([values[f.name] if f.factor else 1.0 for f in point.free])
     both = np.matmul(problem.noise.whiten, sens)
-    by_parameter, by_start, raw = both[:, :, index] * scale, both[:, :, -simulator.width :], sens[:, :, -simulator.width :]
-    return scored(problem, point.at(starts=starts), Linearised(residual, by_parameter, by_start, raw, good))
+    by_parameter, by_initial, raw = both[:, :, index] * scale, both[:, :, -simulator.width :], sens[:, :, -simulator.width :]
+    return scored(problem, point.at(initial=initial), Linearised(residual, by_parameter, by_initial, raw, good))
 
 
 def rescored(problem: Problem, fit: Fit) -> Fit:
     """Return a fit under a problem with another noise or other segments, without simulating again."""
     turn = problem.noise.whiten @ np.linalg.inv(fit.noise.whiten)
-    by_parameter, by_start = np.matmul(turn, fit.by_parameter), np.matmul(turn, fit.elimination.by_start)
-    return scored(problem, fit, Linearised(fit.residual, by_parameter, by_start, fit.raw_by_start, fit.good))
+    by_parameter, by_initial = np.matmul(turn, fit.by_parameter), np.matmul(turn, fit.elimination.by_initial)
+    return scored(problem, fit, Linearised(fit.residual, by_parameter, by_initial, fit.output_by_initial, fit.good))
 
 
 def scored(problem: Problem, point: Point, found: Linearised) -> Fit:
     """Return the likelihood of what a simulation at a point has given."""
     white = found.residual @ problem.noise.whiten.T
     mean, deviation = problem.prior_states(point.simulator, point.values)
-    precision, offset = deviation**-2, mean - point.starts
-    elimination = Elimination.of(found.by_start, white, precision, offset)
+    precision, offset = deviation**-2, mean - point.initial
+    elimination = Elimination.of(found.by_initial, white, precision, offset)
     whole = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
     left = np.maximum(whole - np.einsum("si,si->s", elimination.gradient, elimination.step(elimination.gradient)), 0.0)
     misfit = np.where(found.good, left, FAILED_MISFIT)
     n = white.shape[1] - 2
     cost = 0.5 * problem.noise.log_det + initial_state_price(elimination, precision) * found.good
-    score, score_at_starts = (
+    score, score_at_initial = (
         -0.5 * (T_DEGREES_OF_FREEDOM + n) * np.log1p(each / T_DEGREES_OF_FREEDOM) - cost
         for each in (misfit, np.where(found.good, whole, FAILED_MISFIT))
     )
-    score = np.where(problem.judged, score, 0.0)
-    weight = np.where(problem.judged & found.good, (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit), 0.0)
+    score = np.where(problem.counted, score, 0.0)
+    weight = np.where(problem.counted & found.good, (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit), 0.0)
     by_parameter = found.by_parameter
     information = np.tensordot(weight, np.matmul(by_parameter.transpose(0, 2, 1), elimination.project(by_parameter)), 1)
     prior, curve = _prior(point.free, point.values)
     return Fit(
-        point.simulator, point.free, point.values, point.starts, score, score_at_starts, found.residual, white, by_parameter,
-        elimination, found.raw_by_start, weight, information + np.diag(curve), found.good, problem.noise, prior,
+        point.simulator, point.free, point.values, point.initial, score, score_at_initial, found.residual, white, by_parameter,
+        elimination, found.output_by_initial, weight, information + np.diag(curve), found.good, problem.noise, prior,
     )  # fmt: skip
 
 
@@ -257,8 +257,8 @@ def initial_state_price(elimination: Elimination, precision: Array) -> Array:
 
 def _prior(free: tuple[Free, ...], values: Mapping[str, float]) -> tuple[float, Array]:
     """Return the log-likelihood of the values by prior knowledge [nats], and its curvature (free,)."""
-    known = [0.0 if f.nominal is None else (f.scaled(values[f.name]) - f.nominal) / f.doubt for f in free]
-    curve = np.array([0.0 if f.nominal is None else f.doubt**-2 for f in free])
+    known = [0.0 if f.nominal is None else (f.scaled(values[f.name]) - f.nominal) / f.prior_sd for f in free]
+    curve = np.array([0.0 if f.nominal is None else f.prior_sd**-2 for f in free])
     return -0.5 * float(np.square(known).sum()), curve
 
 
@@ -276,9 +276,9 @@ def errors(fit: Fit, mask: Mask) -> list[Array]:
 
     Where the simulation failed it is that of a servo at rest, so that no model gains by failing.
     """
-    seen = fit.simulator.segments.seen
-    lost = np.where(fit.good[:, None], fit.residual, seen - seen.mean(axis=1, keepdims=True))
-    pairs = zip(lost[mask], fit.raw_by_start[mask], strict=True)  # segments are few and short
+    measured = fit.simulator.segments.measured
+    residual = np.where(fit.good[:, None], fit.residual, measured - measured.mean(axis=1, keepdims=True))
+    pairs = zip(residual[mask], fit.output_by_initial[mask], strict=True)
     return [r - c @ np.linalg.lstsq(c, r, rcond=1e-9)[0] for r, c in pairs]
 
 

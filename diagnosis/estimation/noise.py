@@ -1,7 +1,8 @@
-"""What a residual looks like when nothing is missing: a coloured torque through the servo, and the sensor's own noise."""
+"""Noise of a residual when nothing is missing: a coloured torque through the servo, and the noise of the sensor."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -9,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-CORNERS = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz: of the disturbance torque; tried in turn
-RATIOS = np.logspace(-4, 8, 61)  # of torque to sensor noise, in units of the sensor's variance
+CORNERS = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz: corner frequencies of the disturbance torque
+RATIOS = np.logspace(-4, 8, 61)  # variance of the output by the disturbance over that by the sensor
 
 
 def response(inertia: float, damping: float, h: float, width: int, bins: int, velocity: bool) -> Array:
@@ -31,10 +32,18 @@ def response(inertia: float, damping: float, h: float, width: int, bins: int, ve
 
 @dataclass(frozen=True)
 class Noise:
-    """Covariance of a segment's averages, as the factor that whitens them; what it was made of.
+    """Gaussian noise of a segment's averages.
 
-    `whiten` (bins, bins): multiplies averages from the left; `torque` [N.m] and `corner` [Hz] describe the
-    disturbance, `sensor` the independent error of an average [unit of the output].
+    Attributes
+    ----------
+    whiten : ndarray, shape (bins, bins)
+        Multiplies averages from the left, so that their covariance becomes 1.
+    log_det : float
+        Logarithm of the determinant of the covariance.
+    torque, corner : float
+        Standard deviation [N.m] and corner frequency [Hz] of the disturbance.
+    sensor : float
+        Standard deviation of the independent error of an average [unit of the output].
     """
 
     whiten: Array
@@ -42,6 +51,11 @@ class Noise:
     torque: float
     corner: float
     sensor: float
+
+
+def white_noise(bins: int, level: float) -> Noise:
+    """Return the noise of a sensor alone, with a standard deviation of averages [unit of the output]."""
+    return Noise(np.eye(bins) / level, 2 * bins * math.log(level), 0.0, 1.0, level)
 
 
 def colour(pulses: Array, corner: float, h: float) -> Array:
@@ -58,17 +72,17 @@ def _memory(n: int, decay: float) -> Array:
 def estimate(residual: Array, weights: Array, pulses: Array, h: float, least: float, slowest: float = 0.0) -> Noise:
     """Return the most likely noise of residuals (segments, bins), given the weight of each segment.
 
-    The start states of segments are unknown, so that constants and ramps tell nothing: likelihood of what is left.
-    Parameters: pulses as of `response`; least: standard deviation of an average below which the sensor cannot be; slowest:
-    corner frequency [Hz] below which that of the disturbance cannot be.
+    The initial states of segments are unknown, so that constants and ramps carry no information and are projected out.
+    Parameters: pulses as of `response`; least: smallest standard deviation of an average by the sensor; slowest: smallest
+    corner frequency of the disturbance [Hz].
 
     Source: patterson1971 (restricted maximum likelihood).
     """
     bins = residual.shape[1]
     ramp = np.column_stack([np.ones(bins), np.linspace(-1, 1, bins)])
     free = np.linalg.svd(ramp, full_matrices=True)[0][:, 2:]
-    seen = free.T @ residual.T
-    sample = (seen * weights) @ seen.T / weights.sum()
+    projected = free.T @ residual.T
+    sample = (projected * weights) @ projected.T / weights.sum()
     best = (np.inf, 0.0, 0.0, CORNERS[0])
     for corner in (c for c in CORNERS if c >= slowest):
         full = colour(pulses, corner, h)

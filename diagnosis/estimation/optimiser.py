@@ -41,7 +41,7 @@ def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
     gradient = fit.weight @ fit.slopes
     for i, f in enumerate(fit.free):
         if f.nominal is not None:
-            gradient[i] += (f.nominal - f.scaled(fit.values[f.name])) / f.doubt**2
+            gradient[i] += (f.nominal - f.scaled(fit.values[f.name])) / f.prior_sd**2
     active = np.ones(len(fit.free), dtype=bool)
     step = np.zeros(len(fit.free))
     for _ in range(len(fit.free) + 1):  # parameters that would leave their interval stay
@@ -84,18 +84,18 @@ def maximise(problem: Problem, fit: Fit, iterations: int = FIT_ITERATIONS, stop_
 
     Source: lange1989 (robust regression by the t distribution), golub2003 (elimination of the initial states).
     """
-    damping, trust, failed = FIT_DAMPING, np.ones(len(fit.starts)), 0
+    damping, trust, failed = FIT_DAMPING, np.ones(len(fit.initial)), 0
     for _ in range(iterations):
         step, back, predicted = _direction(fit, damping)
         around = stepped_states(problem, fit, trust[:, None] * back)
         trial = evaluate(problem, fit.at(moved(fit.free, fit.values, step), around))
         if fit.simulator.play and gain_of_trial(problem, fit, trial) < max(KEPT_SHARE * predicted, stop_gain):
-            still = evaluate(problem, trial.at(starts=fit.starts))
-            better = (trial.score_at_starts > still.score_at_starts).astype(int)
+            still = evaluate(problem, trial.at(initial=fit.initial))
+            better = (trial.score_at_initial > still.score_at_initial).astype(int)
             trial = refine_initial_states(problem, merge_fits(problem, [still, trial], better), REFINEMENT_STEPS)
         gain = gain_of_trial(problem, fit, trial)
-        trust = np.where(trial.score_at_starts < fit.score_at_starts, 0.25 * trust, np.minimum(2 * trust, 1.0))
-        by_states = fit.total - fit.prior - float(fit.score_at_starts[problem.judged].sum())  # predicted of initial states
+        trust = np.where(trial.score_at_initial < fit.score_at_initial, 0.25 * trust, np.minimum(2 * trust, 1.0))
+        by_states = fit.total - fit.prior - float(fit.score_at_initial[problem.counted].sum())  # predicted of initial states
         failed = 0 if gain >= stop_gain else failed + 1
         if gain > 0:
             fit, damping = trial, damping / 5
@@ -162,7 +162,7 @@ def refit_nonsmooth(fit: Fit, noise_problem: NoiseProblem, effects: Sequence[str
         problem = noise_problem(fit)
         fit = best = rescored(problem, fit)
         for step in spread * rng.standard_normal((NONSMOOTH_TRIALS * len(own), len(own))):
-            trial = evaluate(problem, fit.at(perturbed_values(best.values, own, step), best.starts))
+            trial = evaluate(problem, fit.at(perturbed_values(best.values, own, step), best.initial))
             best = max((best, trial), key=lambda each: each.total)
         new = max((best, rescored(problem, refit_rescored(best, noise_problem, FIT_ITERATIONS))), key=lambda each: each.total)
         if new.total >= fit.total + NONSMOOTH_GAIN:

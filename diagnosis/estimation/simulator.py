@@ -1,4 +1,4 @@
-"""The servo that is fitted, and its simulation over segments with exact derivatives."""
+"""The servo that is fitted, its free parameters, and its simulation over segments with exact derivatives."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ SEARCH_LIMITS = {  # narrower than what can be simulated: what a servo may have
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
-    """Return the threads that simulate records side by side: compiled code runs outside the interpreter's lock."""
+    """Return the threads that simulate records in parallel: compiled code runs outside the interpreter's lock."""
     return ThreadPoolExecutor(os.cpu_count() or 1, "records")
 
 
-if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads, and would wait for them for ever
+if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def play_parameter(effects: Sequence[str]) -> str:
-    """Return the parameter that says how far the load behind a coupling can move by itself, or nothing."""
+    """Return the parameter that is the free play of a coupling's load, or an empty text."""
     return next((f"{name}.{find_effect(name).loose}" for name in effects if find_effect(name).loose), "")
 
 
@@ -71,9 +71,9 @@ class Simulator:
     effects : sequence of str
         Names of effects.
     segments : Segments
-        Records to follow.
+        Records to simulate.
     base : sequence of str
-        Parameters of the servo and its law by which may be differentiated; the effects' are always among them.
+        Parameters of the servo and its law with derivatives; those of the effects always have them.
     fixed : mapping
         Values of other parameters, such as the internal step.
     """
@@ -85,7 +85,7 @@ class Simulator:
         self.play = play_parameter(effects)
         self.width = len(START_STATES) + (len(LOAD_STATES) if self.play else 0)
         self._native = _compiled(law, tuple(sorted(effects)), segments.velocity, tuple(base))
-        self._natives = [self._native.twin() for _ in segments.pieces]  # its own: another diagnosis may run beside this one
+        self._natives = [self._native.twin() for _ in segments.pieces]  # instances of its own: diagnoses may run in parallel
         program = self._native.program
         self.names = program.sensitivities[: -self.width]
         self._v = np.array(program.starts)
@@ -93,8 +93,7 @@ class Simulator:
         for name, value in known.items():
             if name in program.index:
                 self._v[program.index[name]] = value
-        self._places = np.array([program.index[name] for name in self.names])
-        states = list(self._native.variant.system.states)
+                states = list(self._native.variant.system.states)
         chosen = ["v"] if segments.velocity else ["theta", "v"]
         follow = [LEADERS.get(name, "") for name in states]
         self._set = np.array([states.index(name) for name in chosen], dtype=np.int32)
@@ -103,7 +102,7 @@ class Simulator:
         self._chosen = slice(1 if segments.velocity else 0, self.width)
         pairs = [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()] if self.play else []
         self._load, self._motor = (np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1))
-        self._apart = len(self.names) + len(START_STATES) + np.arange(len(pairs), dtype=np.int32)
+        self._lag = len(self.names) + len(START_STATES) + np.arange(len(pairs), dtype=np.int32)
         self._input = np.array([program.index["u"]], dtype=np.int32)
         self._observed = program.index["v" if segments.velocity else "theta"]
 
@@ -117,9 +116,9 @@ class Simulator:
         return other
 
     def hidden_spread(self, values: Mapping[str, float]) -> Array:
-        """Return the standard deviations (width - 2,) of the start states that no sensor shows; all are about zero.
+        """Return the prior standard deviations (width - 2,) of the initial states that no sensor shows; their means are 0.
 
-        A load may be anywhere within its play, and beyond it as far as the usual torque bends the contact.
+        A load may be anywhere within its play, and beyond it by the deflection of the contact under the rms torque.
         """
         if not self.play:
             return np.empty(0)
@@ -131,7 +130,7 @@ class Simulator:
     def _usual(self) -> tuple[float, float]:
         """Root mean squares of the input and of the speeds at the starts of the segments."""
         inputs = np.concatenate([piece.u for piece in self.segments.pieces])
-        return float(np.sqrt(np.mean(np.square(inputs)))), float(np.sqrt(np.mean(np.square(self.segments.starts[:, 1]))))
+        return float(np.sqrt(np.mean(np.square(inputs)))), float(np.sqrt(np.mean(np.square(self.segments.initial[:, 1]))))
 
     def _half(self, values: Mapping[str, float]) -> float:
         return max(0.5 * self._value(self.play, values), LEAST_PLAY)
@@ -139,81 +138,81 @@ class Simulator:
     def _value(self, name: str, values: Mapping[str, float]) -> float:
         return float(values.get(name, self._v[self._native.program.index[name]]))
 
-    def run(self, values: Mapping[str, float], starts: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask, Array]:
-        """Simulate all segments from the given states (segments, width): position, velocity and, of a load that can move by
-        itself, how far it is behind (over half the play) and how much slower.
+    def run(self, values: Mapping[str, float], initial: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask, Array]:
+        """Simulate all segments from initial states (segments, width): position, velocity and, of a load with free play, how
+        far (over half the play) and how much slower it lags.
 
-        Where the latter are left out or no numbers, the load carries on from the segment before.
+        Where the latter are left out or NaN, the load continues from the end of the previous segment.
 
         Returns
         -------
-        seen : ndarray, shape (segments, bins)
+        simulated : ndarray, shape (segments, bins)
             Averages of the output.
         derivatives : ndarray, shape (segments, bins, len(names) + width), or None
-            By the parameters and by the start states.
+            By the parameters and by the initial states.
         good : ndarray of bool, shape (segments,)
-            False where the simulation failed; values there mean nothing.
-        starts : ndarray, shape (segments, width)
-            The start states as they were.
+            False where the simulation failed; other values there are undefined.
+        initial : ndarray, shape (segments, width)
+            The initial states that were simulated.
         """
         pieces = self.segments.pieces
-        given = np.full((len(starts), self.width), np.nan)
-        given[:, : starts.shape[1]] = starts[:, : self.width]
+        given = np.full((len(initial), self.width), np.nan)
+        given[:, : initial.shape[1]] = initial[:, : self.width]
         if self.play:
             given[:, 2] *= self._half(values)
-        begins = np.split(given, np.cumsum([len(piece.seen) for piece in pieces])[:-1])
-        together = _pool().map if len(pieces) > 1 else map  # records do not depend on each other
+        parts = np.split(given, np.cumsum([len(piece.measured) for piece in pieces])[:-1])
+        run = _pool().map if len(pieces) > 1 else map
 
-        def one(native: Native, piece: Piece, begin: Array) -> tuple[Array, Array, Mask, Array]:
-            return self._piece(native, piece, values, begin, jacobian)
+        def one(native: Native, piece: Piece, own: Array) -> tuple[Array, Array, Mask, Array]:
+            return self._piece(native, piece, values, own, jacobian)
 
-        found = [np.concatenate(parts) for parts in zip(*together(one, self._natives, pieces, begins), strict=True)]
-        seen, sens, good, begun = found
+        found = [np.concatenate(columns) for columns in zip(*run(one, self._natives, pieces, parts), strict=True)]
+        simulated, sens, good, initial = found
         if self.play:
-            self._over_play(values, begun, sens if jacobian else None)
-        return seen, sens if jacobian else None, good, begun
+            self._over_play(values, initial, sens if jacobian else None)
+        return simulated, sens if jacobian else None, good, initial
 
-    def _over_play(self, values: Mapping[str, float], starts: Array, sens: Array | None) -> None:
-        """Put a load's place over half the play in place of its place, so that it stays in contact when the play changes."""
+    def _over_play(self, values: Mapping[str, float], initial: Array, sens: Array | None) -> None:
+        """Scale a load's place by half the play, in place, so that it stays in contact when the play changes."""
         half, place = self._half(values), len(self.names) + 2
-        starts[:, 2] /= half
+        initial[:, 2] /= half
         if sens is not None:
-            sens[:, :, self.names.index(self.play)] += 0.5 * sens[:, :, place] * starts[:, 2, None]
+            sens[:, :, self.names.index(self.play)] += 0.5 * sens[:, :, place] * initial[:, 2, None]
             sens[:, :, place] *= half
 
     def _piece(
-        self, native: Native, piece: Piece, values: Mapping[str, float], starts: Array, jacobian: bool
+        self, native: Native, piece: Piece, values: Mapping[str, float], initial: Array, jacobian: bool
     ) -> tuple[Array, Array, Mask, Array]:
         library, bins = native.library, self.segments.bins
-        v, n = self._v.copy(), len(piece.seen)
+        v, n = self._v.copy(), len(piece.measured)
         for name, value in values.items():
             if name in native.program.index:
                 v[native.program.index[name]] = value
         v[native.program.index["u"]] = piece.u[0]
         if not self.segments.velocity:
-            v[native.program.index["theta_start"]] = starts[0, 0]
-        v[native.program.index["v_start"]] = starts[0, 1]
+            v[native.program.index["theta_start"]] = initial[0, 0]
+        v[native.program.index["v_start"]] = initial[0, 1]
         native.initialise(v, piece.time)
-        seen = np.empty((n, bins))
+        simulated = np.empty((n, bins))
         sens = np.empty((n, bins, len(self.names) + self.width)) if jacobian else np.empty((n, 0, 0))
         good = np.empty(n, dtype=np.uint8)
-        begun = starts.copy()
-        chosen = np.ascontiguousarray(starts[:, self._chosen])
+        initial = initial.copy()
+        chosen = np.ascontiguousarray(initial[:, self._chosen])
         library.batch_segments(
             native.core, ctypes.c_longlong(n), bins, self.segments.width, ctypes.c_double(self.segments.h), 1,
             pointer(self._input), pointer(piece.u), len(self._set), pointer(self._set), pointer(self._column),
             pointer(self._leader), pointer(chosen), len(self._load), pointer(self._load), pointer(self._motor),
-            pointer(self._apart), self._observed, pointer(seen), pointer(sens) if jacobian else None, pointer(good),
+            pointer(self._lag), self._observed, pointer(simulated), pointer(sens) if jacobian else None, pointer(good),
         )  # fmt: skip
-        begun[:, self._chosen] = chosen
-        return seen, sens, good.astype(bool), begun
+        initial[:, self._chosen] = chosen
+        return simulated, sens, good.astype(bool), initial
 
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter that is fitted: its interval, whether it moves by factors, and (optional) what is known beforehand.
+    """A parameter that is fitted: its interval, whether its steps are factors, and an optional Gaussian prior.
 
-    `nominal`, `doubt`: centre and standard deviation of that knowledge, on the scale it moves on.
+    `nominal`, `prior_sd`: mean and standard deviation of the prior, on the scale of the steps (`scaled`).
     """
 
     name: str
@@ -221,7 +220,7 @@ class Free:
     high: float
     factor: bool = False
     nominal: float | None = None
-    doubt: float = 1.0
+    prior_sd: float = 1.0
 
     @property
     def nominal_value(self) -> float:
@@ -251,7 +250,7 @@ class Free:
         return self.at_bound(value) and value != 0.0
 
     def widened(self, factor: float) -> Free:
-        """Return the same with both ends farther out by a factor; an end at 0 stays."""
+        """Return the same with both ends moved outwards by a factor; an end at 0 stays."""
         low = self.low / factor if self.low > 0 else self.low * factor
         high = self.high * factor if self.high > 0 else self.high / factor
         return replace(self, low=low, high=high)
@@ -259,12 +258,25 @@ class Free:
 
 @dataclass(frozen=True)
 class Servo:
-    """The model that candidates join: its law, effects, free parameters and everything that stays.
+    """The model to which candidates are added.
 
-    `rigid`: the set-valued friction has bristles that bend by less than the sensor's step; no model of rigid friction
-    agrees with another more closely than that, and without them each effect would be asked to explain it.
-    `limits`: how far parameters of effects may move on this axis, where that is less than anywhere; `credible`: beyond these
-    intervals an effect must be beyond doubt.
+    Attributes
+    ----------
+    law, effects : str, tuple of str
+        Friction law and effects.
+    base : tuple of str
+        Parameters of the servo and its law with derivatives.
+    free : tuple of Free
+        Free parameters.
+    fixed : mapping
+        Settings of the simulation.
+    rigid : bool
+        True if dry friction has bristles that deflect by less than the sensor's step. Models of rigid friction do not agree
+        more closely than that; without bristles each effect would be fitted to the difference.
+    limits : mapping
+        Intervals of effects' parameters on this axis, where they are narrower than in general.
+    credible : mapping
+        Intervals outside which an effect needs stronger evidence.
     """
 
     law: str
@@ -283,18 +295,18 @@ class Servo:
         return Simulator(self.law, (*effects, OWN_BRISTLES) if bent else effects, segments, self.base, self.fixed)
 
     def own(self, name: str) -> tuple[Free, ...]:
-        """Return the free parameters that stay when an effect joins."""
+        """Return the free parameters that stay when an effect is added."""
         return tuple(f for f in self.free if name not in BRISTLE_EFFECTS or not f.name.startswith(f"{OWN_BRISTLES}."))
 
     def outdone(self, name: str, values: Mapping[str, float]) -> bool:
-        """True if an effect brings bristles that are as stiff as the servo's own: what bends no more is no effect."""
+        """True if the bristles of an effect are as stiff as the servo's own, so that it adds nothing."""
         if name not in BRISTLE_EFFECTS or not self.rigid:
             return False
         return values[f"{name}.stiffness"] >= next(f.nominal_value for f in self.free if f.name == f"{OWN_BRISTLES}.stiffness")
 
 
 def has_free_play(name: str) -> bool:
-    """True for a coupling with a load that can move by itself: no two runs of it are the same."""
+    """True for a coupling whose load has free play: small differences change when its contacts occur."""
     return bool(find_effect(name).loose)
 
 
@@ -307,7 +319,7 @@ def inactive_values(name: str) -> dict[str, float]:
 
 
 def free_parameters(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> tuple[Free, ...]:
-    """Return the free parameters of an effect: those a start gives, in their intervals and in `limits`."""
+    """Return the free parameters of an effect: those with a start value, in their intervals and `limits`."""
     found = []
     for p in find_effect(name).parameters:
         short = p.name.removeprefix(f"{name}.")

@@ -21,7 +21,7 @@ from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, mean_square
-from bristle.diagnosis.estimation.noise import Noise
+from bristle.diagnosis.estimation.noise import Noise, white_noise
 from bristle.diagnosis.estimation.optimiser import refit
 from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.modelfile import Model
@@ -111,7 +111,7 @@ def _diagnosed(fmu: Fmu, model: Model, records: Sequence[Record], tell: Tell, be
     like = replace(model, parameters={name: float(twin.values[name]) for name in model.parameters})
     free = replace(like, bounds=_bounds(model, twin))
     base = fit_from_several_starts(twin.dataset, *base_servo_of(free, twin.dataset))
-    left = mean_square(base.fit, twin.dataset.held)
+    left = mean_square(base.fit, twin.dataset.held_out)
     kept = replace(like, bounds=_around(model, like.parameters))
     if twin.error > max(FMU_ERROR_RATIO * math.sqrt(left), base.problem.noise.sensor):
         return _refused(kept, twin, records, left, lines, time.perf_counter() - begun)
@@ -179,11 +179,11 @@ def _gathered(s: Segments, played: Played, lead: int) -> Segments:
     """Return the segments as the FMU gives them, from one stretch each."""
     pieces, done, length = [], 0, s.bins * s.width
     for piece in s.pieces:
-        n = len(piece.seen)
+        n = len(piece.measured)
         parts = [_state(s, each) for each in played.outputs[done : done + n]]
         seen = np.array([_averages(s, y[len(y) - length :]) for y, _ in parts])
         starts = np.array([state[len(state) - length] for _, state in parts])
-        pieces.append(replace(piece, seen=seen, starts=starts))
+        pieces.append(replace(piece, measured=seen, initial=starts))
         done += n
     return replace(s, pieces=tuple(pieces))
 
@@ -193,8 +193,8 @@ def _cut(s: Segments, played: Played) -> Segments:
     pieces = []
     for piece, outputs in zip(s.pieces, played.outputs, strict=True):
         y, state = _state(s, outputs)
-        seen = np.array([_averages(s, part) for part in y.reshape(len(piece.seen), -1)])
-        pieces.append(replace(piece, seen=seen, starts=state[:: s.bins * s.width]))
+        seen = np.array([_averages(s, part) for part in y.reshape(len(piece.measured), -1)])
+        pieces.append(replace(piece, measured=seen, initial=state[:: s.bins * s.width]))
     return replace(s, pieces=tuple(pieces))
 
 
@@ -221,25 +221,25 @@ def _twin(model: Model, dataset: Dataset, copy: Dataset) -> EquivalentServo:
         fit = _fitted(copy, replace(servo, free=free), fit.values)
     first, pieces = 0, []
     for piece in dataset.segments.pieces:
-        n = len(piece.seen)
-        pieces.append(replace(piece, seen=piece.seen - fit.residual[first : first + n]))
+        n = len(piece.measured)
+        pieces.append(replace(piece, measured=piece.measured - fit.residual[first : first + n]))
         first += n
     corrected = replace(dataset, segments=replace(dataset.segments, pieces=tuple(pieces)))
-    judged = corrected.segments.judged
-    problem = Problem.of(corrected.segments, _white(corrected, 1.0), judged)
-    measured = evaluate(problem, fit.at(starts=corrected.segments.starts))
-    error, gap = (math.sqrt(mean_square(each, judged)) for each in (fit, measured))
+    counted = corrected.segments.counted
+    problem = Problem.of(corrected.segments, _white(corrected, 1.0), counted)
+    measured = evaluate(problem, fit.at(initial=corrected.segments.initial))
+    error, gap = (math.sqrt(mean_square(each, counted)) for each in (fit, measured))
     return EquivalentServo(corrected, fit.values, error, gap)
 
 
 def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
     """Fit a servo to the FMU by plain least squares: an FMU has no noise, and no segment of it is an accident."""
-    judged, simulator = copy.segments.judged, servo.simulator(copy.segments)
+    counted, simulator = copy.segments.counted, servo.simulator(copy.segments)
     fit = evaluate(
-        Problem.of(copy.segments, _white(copy, 1.0), judged), Point(simulator, servo.free, dict(values), copy.segments.starts)
+        Problem.of(copy.segments, _white(copy, 1.0), counted), Point(simulator, servo.free, dict(values), copy.segments.initial)
     )
     for _ in range(FMU_FIT_ROUNDS):
-        problem = Problem.of(copy.segments, _white(copy, math.sqrt(mean_square(fit, judged))), judged)
+        problem = Problem.of(copy.segments, _white(copy, math.sqrt(mean_square(fit, counted))), counted)
         fit = refit(problem, fit)
     return fit
 
@@ -247,8 +247,7 @@ def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
 def _white(dataset: Dataset, level: float) -> Noise:
     """Return a white noise so wide that a segment that is off by `level` rms counts as it is, and not as an outlier."""
     bins = dataset.segments.bins
-    sigma = math.sqrt(bins) * max(level, dataset.least)
-    return Noise(np.eye(bins) / sigma, 2 * bins * math.log(sigma), 0.0, 1.0, sigma)
+    return white_noise(bins, math.sqrt(bins) * max(level, dataset.least_sd))
 
 
 def _bounds(model: Model, twin: EquivalentServo) -> dict[str, tuple[float, float]]:

@@ -23,7 +23,7 @@ class ResidualResponse:
         self._pulses = response(inertia, damping, segments.h, segments.width, segments.bins, segments.velocity)
         self._h = segments.h
         self._seen = problem.noise.whiten @ self._pulses
-        self._cover, self._starts = np.linalg.inv(problem.noise.whiten), fit.raw_by_start
+        self._cover, self._starts = np.linalg.inv(problem.noise.whiten), fit.output_by_initial
         self.weight = fit.weight
         self.freed = fit.elimination.project
         self.model = self.freed(fit.by_parameter)

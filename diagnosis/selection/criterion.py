@@ -86,8 +86,8 @@ def accept_or_reject(
     contenders = _inside(fitted, contenders)
     best = max(contenders, key=lambda c: c.merit)
     plain = _plain(problem, fitted, best)
-    without = _Without(plain, refit_initial_states(problem.only(dataset.held), plain), squares(plain, dataset.train))
-    tests = {c.name: _tested(dataset, problem.only(dataset.held), without, c, null.level(c.name)) for c in contenders}
+    without = _Without(plain, refit_initial_states(problem.only(dataset.held_out), plain), squares(plain, dataset.train))
+    tests = {c.name: _tested(dataset, problem.only(dataset.held_out), without, c, null.level(c.name)) for c in contenders}
     rivals = [c for c in contenders if tests[c.name].large and c.gain_over(plain) > RIVAL_SHARE * best.gain_over(plain)]
     leader = max(rivals or contenders, key=lambda c: c.merit)
     sound = [c for c in contenders if tests[c.name].large and tests[c.name].proven]
@@ -116,7 +116,7 @@ def _plain(problem: Problem, fitted: FittedModel, best: Candidate) -> Fit:
     assert best.fit is not None
     old = fitted.fit
     values = {name: best.fit.values.get(name, value) for name, value in old.values.items()}
-    led = refit(problem, old.at(values, best.fit.starts), stop_gain=ROUGH_STOP_GAIN)
+    led = refit(problem, old.at(values, best.fit.initial), stop_gain=ROUGH_STOP_GAIN)
     better = max((resume(problem, old, stop_gain=ROUGH_STOP_GAIN), led), key=lambda each: each.total)
     return refit_nonsmooth(better, lambda fit: problem, old.simulator.effects)
 
@@ -171,13 +171,13 @@ def _tested(dataset: Dataset, held: Problem, without: _Without, candidate: Candi
     assert candidate.fit is not None
     effect = find_effect(candidate.name)
     new, old = refit_initial_states(held, candidate.fit), without.held
-    gains = (new.score - old.score)[held.judged]
+    gains = (new.score - old.score)[held.counted]
     found = max(candidate.gain_over(without.fit), 0.0)
     before, after = without.squares, squares(candidate.fit, dataset.train)
     size = fall(before, after, effect.local)
     if effect.local and found > CLEAR_LEVELS * level:
         size = max(size, acting_fall(before, after))
-    kept = squares(old, held.judged), squares(new, held.judged)
+    kept = squares(old, held.counted), squares(new, held.counted)
     agreed = _clipped(gains, SEGMENT_NATS)
     sure = beyond_doubt(found, level, agreed)
     like = found * len(gains) / max(int(np.count_nonzero(dataset.train)), 1)

@@ -16,7 +16,7 @@ def finer_gain(problem: Problem, plain: Fit, best: Fit) -> float:
     Both are evaluated where they stand, and refitted only if that moves the gain by more than `STEP_SHARE`.
     """
     known = best.total - plain.total
-    fine = [evaluate(problem, Point(fit.simulator.finer(), fit.free, fit.values, fit.starts)) for fit in (plain, best)]
+    fine = [evaluate(problem, Point(fit.simulator.finer(), fit.free, fit.values, fit.initial)) for fit in (plain, best)]
     gain = fine[1].total - fine[0].total
     if steady(known, gain):
         return gain

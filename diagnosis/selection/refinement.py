@@ -62,7 +62,7 @@ def refit_shape(fitted: FittedModel, dataset: Dataset, name: str, level: float) 
     for start in effect.form:
         servo = replace(fitted.servo, free=(*fitted.servo.free, *free_parameters(name, start, fitted.servo.limits)))
         values = {**old.values, **{f"{name}.{short}": value for short, value in start.items()}}
-        begun = evaluate(fitted.problem, Point(old.simulator, servo.free, values, old.starts))
+        begun = evaluate(fitted.problem, Point(old.simulator, servo.free, values, old.initial))
         # a coupling shows what its form is worth only when all of it has moved
         if effect.coupling or begun.total + predicted_gain(begun) > old.total + level:
             fit = refit_nonsmooth(
@@ -79,7 +79,7 @@ def refit_shape(fitted: FittedModel, dataset: Dataset, name: str, level: float) 
         return fitted
     usual = stood = rescored(problem, old)
     if effect.coupling:  # what a form gains by leaving a small maximum is not its own
-        led = evaluate(problem, old.at({**fit.values, **inactive_values(name)}, fit.starts))
+        led = evaluate(problem, old.at({**fit.values, **inactive_values(name)}, fit.initial))
         led = refit_nonsmooth(resume(problem, led, NOISE_FIT_ITERATIONS), lambda _: problem, fitted.servo.effects)
         usual = max(stood, led, key=lambda each: each.total)
     if fit.total - usual.total > max(SURE_LEVELS * level, SHAPE_NATS) and shape_is_distinct(name, fit.values):
@@ -124,7 +124,7 @@ def _without(fitted: FittedModel, dataset: Dataset, base: FittedModel, name: str
     }
     problem = fitted.problem
     return FittedModel(
-        servo, problem, refit(problem, Point(servo.simulator(dataset.segments), servo.free, values, fitted.fit.starts))
+        servo, problem, refit(problem, Point(servo.simulator(dataset.segments), servo.free, values, fitted.fit.initial))
     )
 
 

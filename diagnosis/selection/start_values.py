@@ -13,8 +13,8 @@ from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initia
 from bristle.diagnosis.estimation.inverse_dynamics import (
     BALANCE_SCREENING_ITERATIONS,
     Balance,
+    Balanced,
     BalancedModel,
-    Found,
 )
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
 from bristle.diagnosis.estimation.optimiser import value_under_noise
@@ -100,14 +100,14 @@ def evaluate_starts(
         free = free_parameters(name, start, servo.limits)
         values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
         values |= {f.name: f.clip(values[f.name]) for f in free}
-        first = refine_initial_states(problem, evaluate(problem, Point(simulator, (*own, *free), values, fit.starts)), ease)
+        first = refine_initial_states(problem, evaluate(problem, Point(simulator, (*own, *free), values, fit.initial)), ease)
         banks.append(_bank(response, fit, first, len(free)))
         trials.append(value_under_noise(first, quiet))
     for together, moving in joint:
         free = free_parameters(name, moving, servo.limits)
         alone = {key: value for key, value in together.items() if key.startswith(f"{name}.")}
         # with the parameters of the balance, and with those of the simulated model: either may be the better neighbourhood
-        for others, begin in ((dict(together), problem.starts), (alone, fit.starts)):
+        for others, begin in ((dict(together), problem.initial), (alone, fit.initial)):
             whole = {**defaults, **fit.values, **others}
             inside = {f.name: f.clip(whole[f.name]) for f in (*own, *free)}
             first = evaluate(problem, Point(simulator, (*own, *free), whole | inside, begin))
@@ -151,7 +151,7 @@ def joint_starts(dataset: Dataset, model: BalancedModel, name: str) -> list[Star
     return [max(found, key=lambda each: each[0])[1]] if found else []
 
 
-def _balance_evidence(dataset: Dataset, model: BalancedModel, balance: Balance, found: Found) -> Evidence:
+def _balance_evidence(dataset: Dataset, model: BalancedModel, balance: Balance, found: Balanced) -> Evidence:
     m, values = balance.motion, found.values
     _, own = balance.evaluate(model.servo.law, model.servo.effects, model.free, values)
     return Evidence(

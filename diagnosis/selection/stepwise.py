@@ -131,7 +131,7 @@ def _from_nominal(dataset: Dataset, fitted: FittedModel) -> Callable[[str], Sequ
     """Return what gives the starts of an effect together with the nominal model."""
     nominal = {f.name: f.nominal_value for f in fitted.servo.free if f.nominal is not None}
     values = {**fitted.fit.values, **nominal}
-    plain = evaluate(fitted.problem, Point(fitted.fit.simulator, (), values, fitted.problem.starts))  # none to make up for it
+    plain = evaluate(fitted.problem, Point(fitted.fit.simulator, (), values, fitted.problem.initial))  # none to make up for it
     e = evidence(dataset.motion, response_of(replace(fitted, fit=plain), dataset), plain, dataset.resolution, dataset.turn)
 
     def begun(name: str) -> list[Start]:

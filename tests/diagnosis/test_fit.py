@@ -86,7 +86,7 @@ def test_a_refit_comes_home_from_afar(case):
     plain = case(None)
     best = plain.base.fit
     away = {**best.values, "J": 0.02, "a2": 0.06, "coulomb.Fc": 0.05}
-    found = refit(plain.base.problem, best.at(away, plain.dataset.segments.starts), 30)
+    found = refit(plain.base.problem, best.at(away, plain.dataset.segments.initial), 30)
     for key in TRUE:
         assert found.values[key] == pytest.approx(best.values[key], rel=2e-3)
 
@@ -96,7 +96,7 @@ def test_no_step_makes_it_worse(case):
     best, gains = plain.base.fit, []
     for inertia, level in ((0.004, 0.3), (0.04, 0.02), (0.02, 0.4), (0.005, 0.01)):
         away = {**best.values, "J": inertia, "coulomb.Fc": level}
-        totals = [refit(plain.base.problem, best.at(away, plain.dataset.segments.starts), count).total for count in range(5)]
+        totals = [refit(plain.base.problem, best.at(away, plain.dataset.segments.initial), count).total for count in range(5)]
         assert totals == sorted(totals)
         gains.append(totals[-1] - totals[0])
     assert max(gains) > 100
@@ -107,9 +107,9 @@ def test_start_states_are_eliminated(case):
     plain = case(None)
     problem, best = plain.base.problem, plain.base.fit
     rng = np.random.default_rng(4)
-    moved = best.starts + 0.04 * problem.spread * rng.standard_normal(best.starts.shape)
-    away = evaluate(problem, best.at(starts=moved))
-    bare = -0.5 * np.sum((np.square(away.white).sum(axis=1) - np.square(best.white).sum(axis=1))[problem.judged])
+    moved = best.initial + 0.04 * problem.initial_sd * rng.standard_normal(best.initial.shape)
+    away = evaluate(problem, best.at(initial=moved))
+    bare = -0.5 * np.sum((np.square(away.white).sum(axis=1) - np.square(best.white).sum(axis=1))[problem.counted])
     assert bare < -50
     assert abs(away.total - best.total) < 0.02 * abs(bare)
 
@@ -117,10 +117,10 @@ def test_start_states_are_eliminated(case):
 def test_one_bad_segment_does_not_decide(case):
     plain = case(None)
     problem, best = plain.base.problem, plain.base.fit
-    seen = problem.seen.copy()
-    bad = int(np.flatnonzero(problem.judged)[3])
+    seen = problem.measured.copy()
+    bad = int(np.flatnonzero(problem.counted)[3])
     seen[bad] += 0.5 * np.sin(np.linspace(0, 6, seen.shape[1]))
-    found = refit(replace(problem, seen=seen), best)
+    found = refit(replace(problem, measured=seen), best)
     for key in TRUE:
         assert found.values[key] == pytest.approx(best.values[key], rel=0.005)
     assert found.weight[bad] < 0.02 * np.median(found.weight[found.weight > 0])
@@ -132,9 +132,9 @@ def test_bounds_hold_and_the_others_go_on(case):
     low = replace(best.free[0], high=0.008, nominal=None)
     assert low.name == "J"
     start = {**best.values, "J": 0.0075, "a2": 0.05}
-    found = refit(plain.base.problem, Point(best.simulator, (low, *best.free[1:]), start, best.starts), 40)
+    found = refit(plain.base.problem, Point(best.simulator, (low, *best.free[1:]), start, best.initial), 40)
     assert found.values["J"] == 0.008
-    held = refit(plain.base.problem, Point(best.simulator, best.free[1:], {**start, "J": 0.008}, best.starts), 40)
+    held = refit(plain.base.problem, Point(best.simulator, best.free[1:], {**start, "J": 0.008}, best.initial), 40)
     assert found.total == pytest.approx(held.total, abs=0.2)
     assert low.at_bound(found.values["J"])
     assert not found.free[1].at_bound(found.values["a2"])
@@ -159,8 +159,8 @@ def test_what_is_known_beforehand_pulls(case):
     """A tight doubt holds a parameter at its nominal value, whatever the records say; none lets it go."""
     plain = case(None)
     best = plain.base.fit
-    tight = replace(best.free[0], nominal=0.012, doubt=1e-6)
-    found = refit(plain.base.problem, Point(best.simulator, (tight, *best.free[1:]), best.values, best.starts))
+    tight = replace(best.free[0], nominal=0.012, prior_sd=1e-6)
+    found = refit(plain.base.problem, Point(best.simulator, (tight, *best.free[1:]), best.values, best.initial))
     assert found.values["J"] == pytest.approx(0.012, abs=1e-5)
     assert found.prior < -0.5 or found.total < best.total
 
@@ -168,9 +168,9 @@ def test_what_is_known_beforehand_pulls(case):
 def test_segments_that_are_not_judged_do_not_count(case):
     plain = case(None)
     problem, best = plain.base.problem, plain.base.fit
-    mask = problem.judged & (plain.dataset.segments.block % 2 == 0)
-    seen = np.where(mask[:, None], problem.seen, 7.0)
-    one, two = (evaluate(replace(problem, judged=mask, seen=s), best) for s in (problem.seen, seen))
+    mask = problem.counted & (plain.dataset.segments.block % 2 == 0)
+    seen = np.where(mask[:, None], problem.measured, 7.0)
+    one, two = (evaluate(replace(problem, counted=mask, measured=s), best) for s in (problem.measured, seen))
     assert one.total == two.total
     np.testing.assert_array_equal(one.information, two.information)
     assert np.all(one.weight[~mask] == 0)
@@ -192,14 +192,15 @@ def test_a_torque_in_the_residual_is_read_through_the_lens(case):
 def test_start_states_alone_are_refitted_where_they_were_disturbed(case):
     """Parameters stay; the likelihood of the disturbed segments comes back to what it was."""
     plain = case(None)
-    problem = plain.base.problem.only(plain.dataset.held)
+    problem = plain.base.problem.only(plain.dataset.held_out)
     best = refit_initial_states(problem, plain.base.fit)
-    off = best.starts + np.where(plain.dataset.held[:, None], 30 * problem.spread, 0.0)
-    again = refit_initial_states(problem, replace(best, starts=off))
+    off = best.initial + np.where(plain.dataset.held_out[:, None], 30 * problem.initial_sd, 0.0)
+    again = refit_initial_states(problem, replace(best, initial=off))
     assert again.values == best.values
-    assert again.score_at_starts[plain.dataset.held].sum() == pytest.approx(best.score_at_starts[plain.dataset.held].sum(), abs=1.0)
+    held = plain.dataset.held_out
+    assert again.score_at_initial[held].sum() == pytest.approx(best.score_at_initial[held].sum(), abs=1.0)
     still = evaluate(problem, Point(best.simulator, (), best.values, off))
-    assert still.score_at_starts[plain.dataset.held].sum() < best.score_at_starts[plain.dataset.held].sum() - 100
+    assert still.score_at_initial[held].sum() < best.score_at_initial[held].sum() - 100
 
 
 def test_what_switches_is_found_from_a_value_that_is_off(case):
@@ -208,7 +209,7 @@ def test_what_switches_is_found_from_a_value_that_is_off(case):
     free = (*hidden.base.fit.free, *free_parameters("dead_zone", {"width": 0.06}, {}))
     simulator = hidden.base.servo.simulator(hidden.base.fit.simulator.segments, ("dead_zone",))
     values = {**hidden.base.fit.values, "dead_zone.width": 0.04}
-    first = evaluate(hidden.base.problem, Point(simulator, free, values, hidden.base.fit.starts))
+    first = evaluate(hidden.base.problem, Point(simulator, free, values, hidden.base.fit.initial))
     problem = hidden.base.problem
     tried = refit_nonsmooth(first, lambda fit: problem, ("dead_zone",))
     assert tried.total > resume(problem, first).total - 1.0
@@ -224,7 +225,7 @@ def rattling(case):
     simulator = backlash.base.servo.simulator(backlash.base.fit.simulator.segments, ("backlash",))
     off = {"backlash.share": 0.35, "backlash.play": 0.04, "backlash.stiffness": 25.0, "backlash.dissipation": 1.0}
     values = {**backlash.base.fit.values, **off}
-    return backlash, evaluate(backlash.base.problem, Point(simulator, free, values, backlash.base.fit.starts))
+    return backlash, evaluate(backlash.base.problem, Point(simulator, free, values, backlash.base.fit.initial))
 
 
 def test_a_loose_load_is_found_from_a_play_and_a_stiffness_that_are_far_off(rattling):
@@ -243,13 +244,13 @@ def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
     backlash, first = rattling
     problem = backlash.base.problem
     right = initialise_load(problem, first, 3)
-    wrong = right.starts.copy()
+    wrong = right.initial.copy()
     wrong[:, 2] *= -1
-    moved = evaluate(problem, right.at(starts=wrong))
+    moved = evaluate(problem, right.at(initial=wrong))
     again = initialise_load(problem, moved, 3)
-    assert moved.score_at_starts[problem.judged].sum() < right.score_at_starts[problem.judged].sum() - 100
-    assert np.all(again.score_at_starts >= moved.score_at_starts)
-    assert again.score_at_starts[problem.judged].sum() > right.score_at_starts[problem.judged].sum() - 20
+    assert moved.score_at_initial[problem.counted].sum() < right.score_at_initial[problem.counted].sum() - 100
+    assert np.all(again.score_at_initial >= moved.score_at_initial)
+    assert again.score_at_initial[problem.counted].sum() > right.score_at_initial[problem.counted].sum() - 20
     assert again.values == right.values
 
 
@@ -257,8 +258,8 @@ def test_steps_of_start_states_make_no_segment_worse(rattling):
     backlash, first = rattling
     problem = backlash.base.problem
     after = refine_initial_states(problem, first, 3)
-    assert np.all(after.score_at_starts >= first.score_at_starts)
-    assert after.score_at_starts[problem.judged].sum() > first.score_at_starts[problem.judged].sum() + 10
+    assert np.all(after.score_at_initial >= first.score_at_initial)
+    assert after.score_at_initial[problem.counted].sum() > first.score_at_initial[problem.counted].sum() + 10
     assert refine_initial_states(problem, first, 0) is first
 
 
@@ -281,12 +282,12 @@ def test_start_states_that_no_sensor_shows_are_paid_for():
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e12])
 def test_start_states_that_do_the_same_are_moved_by_what_is_known_of_them(size):
     """A simulation that runs away follows both alike, by far more than rounding leaves of what is known of them."""
-    by_start = size * np.outer(np.linspace(0.3, 1.0, 50), [1.0, 3.0])[None]
-    found = Elimination.of(by_start, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2)))
+    by_initial = size * np.outer(np.linspace(0.3, 1.0, 50), [1.0, 3.0])[None]
+    found = Elimination.of(by_initial, np.ones((1, 50)), np.full((1, 2), 1e-8), np.zeros((1, 2)))
     move = found.step(found.gradient)
     assert np.isfinite(found.inverse).all()
-    left = np.ones((1, 50)) - (by_start @ move[:, :, None])[:, :, 0]
-    shape = by_start[0, :, 0]
+    left = np.ones((1, 50)) - (by_initial @ move[:, :, None])[:, :, 0]
+    shape = by_initial[0, :, 0]
     best = np.ones(50) - shape * (shape.sum() / (shape @ shape))
     np.testing.assert_allclose(left[0], best, atol=1e-3)
 
@@ -310,13 +311,13 @@ def test_ends_of_an_interval_of_either_sign(ends, stuck, free, wider):
 
 def test_a_segment_whose_simulation_failed_is_no_perfect_one(case):
     dataset, fit = case(None).dataset, case(None).base.fit
-    one = int(np.flatnonzero(dataset.held)[0])
+    one = int(np.flatnonzero(dataset.held_out)[0])
     lost = fit.good.copy()
     lost[one] = False
-    kept = fit.raw_by_start * lost[:, None, None]
-    failed = replace(fit, good=lost, residual=np.where(lost[:, None], fit.residual, 0.0), raw_by_start=kept)
-    before, after = squares(fit, dataset.held), squares(failed, dataset.held)
-    assert after[0] == pytest.approx(float(np.var(dataset.segments.seen[one])))
+    kept = fit.output_by_initial * lost[:, None, None]
+    failed = replace(fit, good=lost, residual=np.where(lost[:, None], fit.residual, 0.0), output_by_initial=kept)
+    before, after = squares(fit, dataset.held_out), squares(failed, dataset.held_out)
+    assert after[0] == pytest.approx(float(np.var(dataset.segments.measured[one])))
     assert after[0] > 10 * before[0]
     np.testing.assert_array_equal(after[1:], before[1:])
 
@@ -336,6 +337,6 @@ def test_what_the_model_can_do_by_itself_is_told(case):
 
 def test_a_motion_of_nothing_is_missed_and_no_error(case):
     dataset, fit = case(None).dataset, case(None).base.fit
-    pieces = tuple(replace(piece, seen=0 * piece.seen) for piece in dataset.segments.pieces)
+    pieces = tuple(replace(piece, measured=0 * piece.measured) for piece in dataset.segments.pieces)
     still = replace(dataset, segments=replace(dataset.segments, pieces=pieces))
     assert relative_error(still, fit) > 1.0

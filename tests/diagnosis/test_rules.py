@@ -97,17 +97,17 @@ def test_a_multiple_of_a_wave_mends_its_form(has, name, periods, form):
 def test_the_search_sees_the_ends_of_the_range(case):
     """A segment that would be kept from it, but for the largest position, the lowest or an extreme of the input."""
     dataset = case(None).dataset
-    length = len(dataset.motion.theta) // len(dataset.segments.judged)
-    kept = int(np.flatnonzero(dataset.held)[1])
+    length = len(dataset.motion.theta) // len(dataset.segments.counted)
+    kept = int(np.flatnonzero(dataset.held_out)[1])
     assert dataset.segments.block[kept] % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
     for name, value in (("theta", 1e3), ("theta", -1e3), ("u", 1e3), ("u", -1e3)):
         x = getattr(dataset.motion, name).copy()
         x[kept * length + 7] = value
         other = replace(dataset, motion=replace(dataset.motion, **{name: x}))
-        assert not other.held[kept]
+        assert not other.held_out[kept]
         assert other.train[kept]
-        assert not (other.held & other.train).any()
-    assert np.array_equal(dataset.held | dataset.train, dataset.segments.judged)
+        assert not (other.held_out & other.train).any()
+    assert np.array_equal(dataset.held_out | dataset.train, dataset.segments.counted)
 
 
 def spectrum_p(seed: int, tone: float) -> float:
@@ -167,7 +167,7 @@ def test_a_step_is_looked_for_where_there_are_records():
 def test_something_is_kept_from_the_search_of_the_shortest_record(case):
     """Five segments of which the only one to keep holds an end of the range, and two, of which none is the fourth."""
     dataset = case(None).dataset
-    length = len(dataset.motion.theta) // len(dataset.segments.judged)
+    length = len(dataset.motion.theta) // len(dataset.segments.counted)
     for count in (5, 2):
         piece = dataset.segments.pieces[0]
         piece = replace(piece, u=piece.u[: count * length], **{k: getattr(piece, k)[:count] for k in ("seen", "starts", "spread")})
@@ -176,7 +176,7 @@ def test_something_is_kept_from_the_search_of_the_shortest_record(case):
         short = replace(
             dataset, segments=replace(dataset.segments, pieces=(piece,)), motion=replace(dataset.motion, theta=theta, u=u)
         )
-        assert short.held.tolist() == [k == min(3, count - 1) for k in range(count)]
+        assert short.held_out.tolist() == [k == min(3, count - 1) for k in range(count)]
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_derivatives_are_those_of_the_simulation(segments, name):
     least = 0.02 if name == "backlash" else 1e-5
     values = VALUES | BENT | {f"{name}.{key}": value for key, value in WITH.get(name, {}).items()}
     work = simulator(segments, (name,) if name else (), True)
-    starts = segments.starts + np.array([0.0, 0.01])  # none at rest: steps have a kink there
+    starts = segments.initial + np.array([0.0, 0.01])  # none at rest: steps have a kink there
     if name == "backlash":  # in contact at either side and in between, faster and slower than the motor
         starts = np.column_stack([starts, np.resize([1.03, 0.2, -1.02], 8), np.resize([0.3, -0.5], 8)])
     seen, exact, good, _ = work.run(values, starts, jacobian=True)
@@ -89,7 +89,7 @@ def check(exact, difference, key, least):
 
 def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
     """Without hidden states each segment is what the plain simulation gives from the same position and velocity."""
-    starts = segments.starts + np.array([0.01, -0.2])
+    starts = segments.initial + np.array([0.01, -0.2])
     seen, _, good, _ = simulator(segments, (), False).run(VALUES, starts)
     assert good.all()
     u = segments.pieces[0].u.reshape(-1, WIDTH * BINS)
@@ -103,11 +103,11 @@ def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
 def test_hidden_states_live_on_from_segment_to_segment(segments):
     """The delay line of one segment reaches into the next: what came before its start is not forgotten."""
     values = VALUES | {"input_delay.delay": 0.02}
-    seen = simulator(segments, ("input_delay",), False).run(values, segments.starts)[0]
+    seen = simulator(segments, ("input_delay",), False).run(values, segments.initial)[0]
     parts = enumerate(segments.pieces[0].u.reshape(-1, WIDTH * BINS))
     pieces = tuple(cut("part", 0.4 * k, u, np.zeros_like(u), GRID, 4e-4) for k, u in parts)
     cold = Segments(H, WIDTH, BINS, False, pieces)
-    alone = simulator(cold, ("input_delay",), False).run(values, segments.starts)[0]
+    alone = simulator(cold, ("input_delay",), False).run(values, segments.initial)[0]
     np.testing.assert_array_equal(seen[0], alone[0])
     assert np.sum(np.max(np.abs(seen - alone)[1:], axis=1) > 1e-3) >= 4  # it rests at the start of some
 
@@ -116,11 +116,11 @@ def test_a_loose_load_carries_on_unless_it_is_laid_somewhere(segments):
     """Where it was is told, over half the play, and the same again when given; one segment moved leaves the others."""
     values = VALUES | {f"backlash.{key}": value for key, value in (WITH["backlash"] | {"stiffness": 200.0}).items()}
     work = simulator(segments, ("backlash",), False)
-    seen, _, _, starts = work.run(values, segments.starts)
+    seen, _, _, starts = work.run(values, segments.initial)
     assert starts.shape == (8, 4)
     assert np.all(starts[0, 2:] == 0.0)
     assert np.any(np.abs(starts[1:, 2]) > 0.5)
-    np.testing.assert_array_equal(starts[:, :2], segments.starts)
+    np.testing.assert_array_equal(starts[:, :2], segments.initial)
     again, _, _, told = work.run(values, starts)
     np.testing.assert_allclose(again, seen, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(told, starts)
@@ -142,29 +142,29 @@ def test_a_velocity_is_simulated_where_a_velocity_was_measured():
     starts = np.column_stack([np.zeros(8), v[:: WIDTH * BINS][:8]])
     seen, sens, _, _ = Simulator("coulomb", (), segments, BASE, fixed_values(H)).run(VALUES, starts, jacobian=True)
     assert sens is not None
-    assert np.max(np.abs(seen - segments.seen)) < 1e-4 * np.ptp(v)
+    assert np.max(np.abs(seen - segments.measured)) < 1e-4 * np.ptp(v)
     assert np.all(sens[:, :, -2] == 0.0)  # where it is does not matter
     assert np.sum(sens[:, 0, -1] > 0.9) >= 4  # it rests at the start of some
 
 
 def test_what_cannot_be_simulated_is_marked_and_spoils_nothing_else(segments):
-    starts = segments.starts.copy()
+    starts = segments.initial.copy()
     starts[2, 1] = np.nan
     work = simulator(segments, (), False)
     seen, _, good, _ = work.run(VALUES, starts)
     assert good.tolist() == [k != 2 for k in range(8)]
-    np.testing.assert_array_equal(seen[good], work.run(VALUES, segments.starts)[0][good])
+    np.testing.assert_array_equal(seen[good], work.run(VALUES, segments.initial)[0][good])
 
 
 def test_records_are_cut_into_averages_and_the_rest_is_dropped():
     y = np.arange(1000.0) ** 2
     piece = cut("run", 7.0, np.arange(1000.0), y, Grid(1e-3, 8, 50, False), 1.0)
-    assert (piece.time, piece.seen.shape, piece.u.shape) == (7.0, (2, 50), (800,))
-    np.testing.assert_array_equal(piece.seen[1, 3], y[424:432].mean())
+    assert (piece.time, piece.measured.shape, piece.u.shape) == (7.0, (2, 50), (800,))
+    np.testing.assert_array_equal(piece.measured[1, 3], y[424:432].mean())
     parts = Segments(1e-3, 8, 50, False, (piece, piece))
-    assert parts.judged.tolist() == [False, True, False, True]
+    assert parts.counted.tolist() == [False, True, False, True]
     assert parts.block.tolist() == [0, 1, 0, 1]
-    assert parts.seen.shape == (4, 50)
+    assert parts.measured.shape == (4, 50)
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
@@ -183,7 +183,7 @@ def test_start_states_are_as_uncertain_as_the_sensor_is_coarse():
     true = native.run(H, {"u": u}, ["theta", "v"])[0][:-1]
     step = 2 * np.pi / 16384
     piece = cut("run", 0.0, u, np.floor(true[:, 0] / step + 0.5) * step, GRID, step)
-    z = (piece.starts - true[:: WIDTH * BINS][: len(piece.starts)]) / piece.spread
+    z = (piece.initial - true[:: WIDTH * BINS][: len(piece.initial)]) / piece.initial_sd
     assert np.all(np.abs(z) < 3)
     assert np.all(np.sqrt(np.mean(z[1:] ** 2, axis=0)) > 0.01)
 
@@ -201,7 +201,7 @@ def test_no_reversal_amplifies_a_start():
     work = simulator(rough, (), True)
     for damping in np.geomspace(0.01, 10.0, 60):
         bent = {f"{OWN_BRISTLES}.stiffness": 5000.0, f"{OWN_BRISTLES}.damping": damping}
-        _, exact, good, _ = work.run(VALUES | bent, rough.starts, jacobian=True)
+        _, exact, good, _ = work.run(VALUES | bent, rough.initial, jacobian=True)
         assert exact is not None
         assert good.all()
         assert np.abs(exact[:, :, -1]).max() <= 1.01 * H * WIDTH * BINS
@@ -212,10 +212,10 @@ def test_two_threads_simulate_the_same_program_without_disturbing_each_other(seg
     """Each in its own instance: two diagnoses may run side by side."""
     values = [VALUES | BENT | {"coulomb.Fc": level} for level in (0.1, 0.14)]
     pair = [simulator(segments, (), True) for _ in values]
-    alone = [work.run(v, segments.starts)[0] for work, v in zip(pair, values, strict=True)]
+    alone = [work.run(v, segments.initial)[0] for work, v in zip(pair, values, strict=True)]
 
     def again(i):
-        return all(np.array_equal(pair[i].run(values[i], segments.starts)[0], alone[i]) for _ in range(50))
+        return all(np.array_equal(pair[i].run(values[i], segments.initial)[0], alone[i]) for _ in range(50))
 
     with ThreadPoolExecutor(2) as pool:
         assert all(pool.map(again, (0, 1)))
@@ -226,10 +226,10 @@ def test_two_threads_simulate_the_same_program_without_disturbing_each_other(seg
 def test_a_forked_process_does_not_wait_for_threads_it_has_not(segments):
     twice = Segments(H, WIDTH, BINS, False, (*segments.pieces, *segments.pieces))
     work = simulator(twice, (), False)
-    here = work.run(VALUES, twice.starts)[0]  # the threads are at work from here on
+    here = work.run(VALUES, twice.initial)[0]  # the threads are at work from here on
     context = multiprocessing.get_context("fork")
     answers = context.SimpleQueue()
-    child = context.Process(target=lambda: answers.put(work.run(VALUES, twice.starts)[0]))
+    child = context.Process(target=lambda: answers.put(work.run(VALUES, twice.initial)[0]))
     child.start()
     child.join(30)
     hangs = child.is_alive()

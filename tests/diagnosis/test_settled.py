@@ -55,7 +55,7 @@ def asymmetric() -> tuple[Dataset, Fit]:
     free = (*base.servo.free, *free_parameters("asymmetric_coulomb", {"share": 0.0}, {}))
     simulator = base.servo.simulator(own.segments, ("asymmetric_coulomb",))
     begin = {**base.fit.values, "asymmetric_coulomb.share": 0.0}
-    return own, refit(base.problem, Point(simulator, free, begin, base.fit.starts))
+    return own, refit(base.problem, Point(simulator, free, begin, base.fit.initial))
 
 
 def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[Dataset, Fit]) -> None:
