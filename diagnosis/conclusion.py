@@ -77,7 +77,7 @@ def conclude(
     told = {*named, *undecided, *(name for tie in ties for name in tie)}
     added = last.best.name if last.best and last.named else ""
     adrift = dataset.segments.velocity and len(records) > 1
-    placed = any(find_effect(name).placed for name in (*named, *undecided))
+    placed = any(find_effect(name).position_dependent for name in (*named, *undecided))
     beginnings = [VELOCITY_CAVEAT] if adrift and (placed or left.flag) else []
     missed = story.undetected(last.candidates, last.null, last.base, told, model, added, adrift)
     said = partial(story.on_axis, linear=dataset.linear, input_kind=model.input_kind)

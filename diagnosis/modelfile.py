@@ -208,7 +208,7 @@ def si_unit(unit: str, linear: bool, kind: str) -> str:
 def own_unit(parameter: Parameter, linear: bool, kind: str) -> str:
     """Return the unit of a parameter on such a rig: the phase of a wave is an angle on a linear axis, too."""
     name = parameter.name.rpartition(".")[2]
-    if linear and name == "periods":
+    if linear and name in {e.periods for e in all_effects().values()}:
         return "rad/m"
     return parameter.unit if name.startswith("phase") else si_unit(parameter.unit, linear, kind)
 
@@ -435,7 +435,7 @@ def _effect(name: str, given: Mapping[str, Given], where: Path | str, linear: bo
         values[key] = _number(f"effects.{name}.{key}", value, own[key], where, linear, kind)
     for key, parameter in own.items():
         if key not in values:
-            if parameter.default != 0.0 and key not in known[name].bending:
+            if parameter.default != 0.0 and key not in known[name].shape_parameters:
                 raise mistake(where, f"effects.{name}.{key}", None, f"missing; add it ({parameter.description})")
             values[key] = parameter.default
     return values

@@ -26,8 +26,9 @@ from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_from_seve
 from bristle.diagnosis.estimation.likelihood import Point, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import white_noise
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, Servo, free_parameters, inactive_values
-from bristle.diagnosis.localisation.views import TURN_EFFECTS
 from bristle.diagnosis.modelfile import NO_LIMIT, Model
+from bristle.plant.effect import RecordedMotion
+from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
 from bristle.records.record import Record
 
@@ -35,11 +36,6 @@ SHORTEST_SEGMENT = 0.1  # s: shortest segment for a model that diverges
 LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
 SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
 BRISTLE_DEFLECTION = 0.25  # of the sensor's step: largest deflection of the bristles of rigid friction
-SWALLOWED_SHARE = 0.8  # of the time: most in which a dead zone blocks the input or a saturation limits it
-MOSTLY_SWALLOWED = 0.5  # of the time: a dead zone that blocks the input longer must be beyond doubt
-STRIBECK_SPEED_SHARE = 0.25  # of the top speed: largest Stribeck speed
-POLE_SHARE = 0.25  # of a segment: largest time constant of the electrical pole
-EDGE_SHARE = 0.05  # of the samples at either end that do not count for the range of times and of speeds
 
 
 def dataset_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT_SECONDS) -> Dataset:
@@ -58,50 +54,37 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT
     segments = Segments(h, width, bins, velocity, pieces)
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
-    excluded = {"stribeck": f"the law '{model.friction}' has a Stribeck curve of its own"} if _has_stribeck(model) else {}
-    if model.linear:
-        excluded |= {name: "needs a shaft that turns: this axis is linear" for name in TURN_EFFECTS}
+    excluded = excluded_effects(model)
     return Dataset(
         segments, moved, resolution, least, excitation(model, records)["narrow"], excluded, model.linear,
         float(np.ptp(moved.theta)) if model.linear else 2 * math.pi, h >= SLOW_SAMPLING and not any(r.ahead for r in records),
     )  # fmt: skip
 
 
-def _has_stribeck(model: Model) -> bool:
-    """True if the law itself has a static friction, from which it falls with the speed."""
-    return any(p.name.endswith(".Fs") for p in find_law(model.friction).parameters)
+def recorded_motion(dataset: Dataset) -> RecordedMotion:
+    """Return what effects derive the limits of their parameters from."""
+    m = dataset.motion
+    return RecordedMotion(m.theta, m.v, m.u, m.time, dataset.turn, dataset.segments.seconds, dataset.linear)
 
 
 def limits(dataset: Dataset) -> dict[str, tuple[float, float]]:
-    """Return how far parameters of effects may move on this axis and in these records.
-
-    Periods: at least two in a turn or, on a linear axis, in the range that was travelled; fewer are no ripple, but any
-    slow change with the position. (Friction that changes once in a turn has a cause in a shaft.) A step: where enough is
-    seen before and after, else it is a bias with a few odd segments. A stop: touched less than half of the time, else it
-    is a spring or a bias. A dead zone or a saturation: one that swallows nearly the whole input, or leaves only its sign,
-    says that the input explains nothing. A Stribeck curve: one that has fallen well within the speeds that are seen, else it
-    is a drag by another name. An electrical pole: several times faster than a segment lasts, else it is an integrator.
-    """
-    s, least = dataset.segments, 2 * 2 * math.pi / dataset.turn
-    periodic = ("cogging.periods", "position_friction.periods") if dataset.linear else ("cogging.periods",)
-    first, last = np.quantile(dataset.motion.time, [EDGE_SHARE, 1 - EDGE_SHARE])
-    middle = float(np.median(dataset.motion.theta))
-    least_u, most_u = np.quantile(np.abs(dataset.motion.u), [1 - SWALLOWED_SHARE, SWALLOWED_SHARE])
-    return {
-        "dead_zone.width": (0.0, float(most_u)),
-        "disturbance_step.onset": (float(first), float(last)),
-        "hard_stop.upper": (middle, math.inf),
-        "hard_stop.lower": (-math.inf, middle),
-        "saturation.limit": (float(least_u), math.inf),
-        "electrical_pole.time_constant": (0.0, POLE_SHARE * s.seconds),
-        "stribeck.speed": (0.0, STRIBECK_SPEED_SHARE * float(np.quantile(np.abs(dataset.motion.v), 1 - EDGE_SHARE))),
-        **{name: (least, math.inf) for name in periodic},
-    }
+    """Return how far parameters of effects may move on this axis and in these records."""
+    m = recorded_motion(dataset)
+    return {key: ends for e in effects().values() if e.limits for key, ends in e.by_full_name(e.limits(m)).items()}
 
 
 def credible(dataset: Dataset) -> dict[str, tuple[float, float]]:
-    """Return the intervals of parameters beyond which an effect must be beyond doubt."""
-    return {"dead_zone.width": (0.0, float(np.quantile(np.abs(dataset.motion.u), MOSTLY_SWALLOWED)))}
+    """Return the intervals of parameters outside which an effect needs a stronger likelihood gain."""
+    m = recorded_motion(dataset)
+    return {key: ends for e in effects().values() if e.credible for key, ends in e.by_full_name(e.credible(m)).items()}
+
+
+def excluded_effects(model: Model) -> dict[str, str]:
+    """Return the effects that the servo of a model cannot lack, each with the reason."""
+    law = find_law(model.friction)
+    found = {e.name: reason for e in effects().values() if e.excluded and (reason := e.excluded(law))}
+    turning = [e.name for e in effects().values() if e.once_per_turn and model.linear]
+    return found | {name: "needs a shaft that turns: this axis is linear" for name in turning}
 
 
 def fixed_values(h: float) -> dict[str, float]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -17,8 +18,9 @@ from bristle.plant.wording import Wording
 
 SX = ca.SX
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
-VIEWS = {  # where a residual torque can live
+VIEWS = {  # quantities that a residual torque may be a function of
     "all": "everywhere, at rest too",
     "v": "velocity",
     "a": "acceleration",
@@ -35,7 +37,7 @@ VIEWS = {  # where a residual torque can live
 }
 
 
-FLAT = 1e-9  # what is less has no logarithm
+FLAT = 1e-9  # smallest value whose logarithm is taken (1)
 
 
 def power(x: SX, exponent: SX) -> SX:
@@ -111,37 +113,90 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class RecordedMotion:
+    """What the records of a diagnosis contain, for limits of parameters.
+
+    Attributes
+    ----------
+    theta, v, u, time : ndarray, shape (n,)
+        Position [rad], velocity [rad/s], input [V] and time [s] of all records, one after the other.
+    turn : float
+        Path after which a motion begins anew [rad]: one turn or, on a linear axis, the range travelled.
+    segment : float
+        Length of the segments that are simulated [s].
+    linear : bool
+        True for a linear axis.
+    """
+
+    theta: Array
+    v: Array
+    u: Array
+    time: Array
+    turn: float
+    segment: float
+    linear: bool
+
+    @property
+    def two_periods(self) -> float:
+        """The number of periods [1/rad] of which two fit into a turn or into the range travelled."""
+        return 2 * 2 * np.pi / self.turn
+
+
+Limits = dict[str, tuple[float, float]]  # intervals by short names of parameters
+
+
+@dataclass(frozen=True)
 class Effect:
     """An effect by name; each slot is a function of a `Context`, and what is None is not touched.
 
     Attributes
     ----------
     description, title : str
-        What it is, in a sentence's part and in two to five words; these, `excitation` and the descriptions of the parameters may
-        have the placeholders of a `Wording`.
+        What it is, in a sentence's part and in two to five words; these, `excitation`, `separation` and the descriptions of the
+        parameters may have the placeholders of a `Wording`.
     group : str
         Name of its class: the effects that data may not tell apart, joined by a slash.
     equation : str
         The equation in one line of text.
     residual : tuple of str
-        Where the torque is found that a model without the effect lacks: keys of `VIEWS`.
+        What the residual torque of a model without the effect is a function of: keys of `VIEWS`.
     excitation : str
         What a record must contain to show the effect.
     confounded : tuple of str
         Names of the effects it is easily taken for.
-    rank : int
-        Effects act in the order of (rank, name), whatever the order they are given in.
-    local : bool
-        True if it only acts beyond a limit, so that it may show in a few stretches of a record.
-    rugged : bool
+    order : int
+        Effects act in the order of (order, name), whatever the order they are given in.
+    sparse : bool
+        True if it only acts beyond a limit, so that it may show in a few segments of a record.
+    nonsmooth : bool
         True if it switches, so that a fit along derivatives ends at one of many small maxima.
-    loose : str
+    free_play : str
         Of a coupling: its parameter, by a short name, that says how far the load can move by itself.
-    form : tuple of mapping
-        Parameters, by short names, that bend its form and do nothing at their defaults: a fit frees them last, from each of
-        these values.
-    second : tuple of str
-        Parameters, by short names, of a second term, which is not there while the first of them is at its default.
+    shape_starts : tuple of mapping
+        Parameters, by short names, of its shape, which do nothing at their defaults: a fit frees them last, from each of
+        these start values.
+    second_term : tuple of str
+        Parameters, by short names, of a second term, which is zero while the first of them is at its default.
+    off : mapping
+        Values, by short names, of parameters at which the whole effect does nothing; empty if there are none.
+    unused : mapping
+        Values, by short names, at which an optional part does nothing, such as a stop that is never reached.
+    search_interval : mapping
+        Intervals, by short names, in which a fit looks for parameters where that is narrower than what can be simulated.
+    limits, credible : function
+        Intervals of parameters, by short names, from a `RecordedMotion`: how far they may move, and beyond which values the
+        effect is named only with a stronger likelihood gain.
+    once_per_turn : bool
+        True if it repeats with each turn of a shaft, so that a linear axis does not have it.
+    periods : str
+        Its parameter, by a short name, that gives the periods in a turn [1/rad], if it repeats along the position.
+    excluded : function
+        Why the servo cannot lack it beside a friction law that has it already, as a text; empty where it can.
+    separation : str
+        What to measure to tell the effects of its class apart (stated by one effect of the class).
+    rigid_friction : bool
+        True for the one effect whose bristles, too stiff for the sensor to see, are part of each simulation of set-valued
+        friction in a diagnosis: without them each effect would be fitted to the last digits of sticking.
     load_side : bool
         With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
     states, rates : tuple of State, function
@@ -179,13 +234,23 @@ class Effect:
     excitation: str
     confounded: tuple[str, ...]
     parameters: tuple[Parameter, ...]
-    rank: int = 0
-    local: bool = False
-    rugged: bool = False
-    loose: str = ""
+    order: int = 0
+    sparse: bool = False
+    nonsmooth: bool = False
+    free_play: str = ""
     load_side: bool = False
-    form: tuple[Mapping[str, float], ...] = ()
-    second: tuple[str, ...] = ()
+    shape_starts: tuple[Mapping[str, float], ...] = ()
+    second_term: tuple[str, ...] = ()
+    off: Mapping[str, float] = field(default_factory=dict)
+    unused: Mapping[str, float] = field(default_factory=dict)
+    search_interval: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    limits: Callable[[RecordedMotion], Limits] | None = None
+    credible: Callable[[RecordedMotion], Limits] | None = None
+    once_per_turn: bool = False
+    periods: str = ""
+    excluded: Callable[[FrictionLaw], str] | None = None
+    separation: str = ""
+    rigid_friction: bool = False
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None
     sampled: tuple[State, ...] = ()
@@ -208,18 +273,30 @@ class Effect:
             description=wording.fill(self.description),
             title=wording.fill(self.title),
             excitation=wording.fill(self.excitation),
+            separation=wording.fill(self.separation),
             parameters=parameters,
         )
 
     @property
-    def bending(self) -> frozenset[str]:
-        """Short names of the parameters that bend its form."""
-        return frozenset(short for start in self.form for short in start)
+    def shape_parameters(self) -> frozenset[str]:
+        """Short names of the parameters of its shape."""
+        return frozenset(short for start in self.shape_starts for short in start)
 
     @property
-    def placed(self) -> bool:
-        """Whether its residual lives at places of the travel."""
+    def position_dependent(self) -> bool:
+        """Whether its residual is a function of the position."""
         return any("theta" in view for view in self.residual)
+
+    @property
+    def inactive_values(self) -> dict[str, float]:
+        """Values, by full names, at which its optional parameters do nothing."""
+        optional = {*self.second_term, *self.shape_parameters}
+        defaults = {p.name: p.default for p in self.parameters if p.name.removeprefix(f"{self.name}.") in optional}
+        return defaults | self.by_full_name(self.unused)
+
+    def by_full_name(self, values: Mapping[str, T]) -> dict[str, T]:
+        """Return values given by short names of parameters by their full names."""
+        return {f"{self.name}.{short}": value for short, value in values.items()}
 
 
 def arrange(effects: Sequence[Effect]) -> list[Effect]:
@@ -232,7 +309,7 @@ def arrange(effects: Sequence[Effect]) -> list[Effect]:
         both = sorted(effect.name for effect in effects if getattr(effect, slot) is not None)
         if len(both) > 1:
             raise BristleError(f"effects '{both[0]}' and '{both[1]}' both {what}; choose one of them")
-    return sorted(effects, key=lambda effect: (effect.rank, effect.name))
+    return sorted(effects, key=lambda effect: (effect.order, effect.name))
 
 
 class Effects:

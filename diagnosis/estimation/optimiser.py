@@ -127,7 +127,7 @@ def refit_rescored(fit: Fit, noise_problem: NoiseProblem, iterations: int) -> Fi
 def nonsmooth_parameters(fit: Fit, effects: Collection[str]) -> list[Free]:
     """Return the free parameters of effects that switch, contacts among them."""
     own = [(f, f.name.split(".")[0]) for f in fit.free]
-    return [f for f, name in own if name in effects and (find_effect(name).rugged or has_free_play(name))]
+    return [f for f, name in own if name in effects and (find_effect(name).nonsmooth or has_free_play(name))]
 
 
 def refit_load(fit: Fit, noise_problem: NoiseProblem) -> Fit:

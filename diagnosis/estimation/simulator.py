@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bristle.diagnosis.estimation.dataset import Piece, Segments
 from bristle.model.native import Native, pointer
 from bristle.plant.effects import effect as find_effect
+from bristle.plant.effects import effects as all_effects
 from bristle.plant.servo import LOAD_STARTS, servo_program
 
 Array = NDArray[np.float64]
@@ -26,15 +27,9 @@ START_STATES = ("theta_start", "v_start")
 LOAD_STATES = tuple(p.name for p in LOAD_STARTS)  # initial states of a load with free play: how far and how much slower it lags
 LOAD_SPEED_SHARE = 0.3  # of the rms speed: standard deviation of that lag of a load's speed
 LEAST_PLAY = 1e-9  # rad: least half play by which a load's place is divided
-OWN_BRISTLES = "bristle_damping"  # effect that gives rigid friction the small deflection of every real servo
-BRISTLE_EFFECTS = ("presliding", "bristle_damping")  # effects with a deflection that the sensor resolves
+OWN_BRISTLES = next(e.name for e in all_effects().values() if e.rigid_friction)  # part of each simulation of rigid friction
+BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)  # effects that take the place of these bristles
 START_FACTOR = 300.0  # largest factor between a positive parameter and its start value
-SEARCH_LIMITS = {  # narrower than what can be simulated: what a servo may have
-    "stribeck.excess": (0.0, 100.0),
-    "compliance.share": (0.02, 0.9),
-    "backlash.share": (0.02, 0.9),
-    "backlash.dissipation": (1e-3, 1e3),
-}
 
 
 @lru_cache(maxsize=1)
@@ -49,7 +44,7 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
 
 def play_parameter(effects: Sequence[str]) -> str:
     """Return the parameter that is the free play of a coupling's load, or an empty text."""
-    return next((f"{name}.{find_effect(name).loose}" for name in effects if find_effect(name).loose), "")
+    return next((f"{name}.{find_effect(name).free_play}" for name in effects if find_effect(name).free_play), "")
 
 
 @lru_cache(maxsize=256)  # four rounds of all effects
@@ -307,25 +302,22 @@ class Servo:
 
 def has_free_play(name: str) -> bool:
     """True for a coupling whose load has free play: small differences change when its contacts occur."""
-    return bool(find_effect(name).loose)
+    return bool(find_effect(name).free_play)
 
 
 def inactive_values(name: str) -> dict[str, float]:
     """Return values at which optional parameters of an effect do nothing."""
-    values = {"cogging.amplitude2": 0.0, "cogging.phase2": 0.0, "hard_stop.upper": 1e6, "hard_stop.lower": -1e6}
-    effect = find_effect(name)
-    forms = {p.name: p.default for p in effect.parameters if p.name.removeprefix(f"{name}.") in effect.bending}
-    return {key: value for key, value in (values | forms).items() if key.startswith(f"{name}.")}
+    return find_effect(name).inactive_values
 
 
 def free_parameters(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> tuple[Free, ...]:
     """Return the free parameters of an effect: those with a start value, in their intervals and `limits`."""
-    found = []
-    for p in find_effect(name).parameters:
+    found, effect = [], find_effect(name)
+    for p in effect.parameters:
         short = p.name.removeprefix(f"{name}.")
         if short not in start:
             continue
-        low, high = SEARCH_LIMITS.get(p.name, (p.minimum, p.maximum))
+        low, high = effect.search_interval.get(short, (p.minimum, p.maximum))
         factor = p.minimum > 0
         if factor:
             low, high = max(low, start[short] / START_FACTOR), min(high, start[short] * START_FACTOR)

@@ -97,4 +97,4 @@ def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[st
 def _has_edges(parameter: str) -> bool:
     """True for parameters of effects that act beyond a place or a level, whose likelihood is no parabola, and of couplings."""
     name = parameter.split(".")[0]
-    return name in all_effects() and (find_effect(name).local or find_effect(name).coupling is not None)
+    return name in all_effects() and (find_effect(name).sparse or find_effect(name).coupling is not None)

@@ -47,7 +47,7 @@ def unexplained(
     seen = [share for share in after if share.view not in SENSOR_VIEWS and not (rattles and share.view == OUTLIERS)]
     waves = [periods for name in named if (periods := periods_of(name, values, turn)) is not None]
     left = gap.after / gap.before if gap.before > 0 else 1.0
-    if named and fell < 1 and not rattles and not any(find_effect(name).local for name in named):
+    if named and fell < 1 and not rattles and not any(find_effect(name).sparse for name in named):
         return answer.Remains(True, seen[0].view, seen[0].share, disturbance, seen[0].label)
     certain = []
     for share in seen:

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.diagnosis.estimation.dataset import Motion
+from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
 VIEW_KNOTS = 9
 CLOCK_SPAN = 3.0  # times what they last in all: records of one clock that lie over a longer time lie far apart
 PATH_POINTS = 5000  # of the path, for them
-TURN_EFFECTS = ("gravity", "eccentric_encoder")  # effects that repeat with each turn of a shaft
 PERIOD_TOLERANCE, FORM_HARMONICS = 0.03, (2, 3, 4)  # periods that count as equal; multiples that are the form of a wave
 HYSTERESIS_ELEMENTS = 5  # widths of elastic elements that make up a hysteresis
 
@@ -45,7 +45,8 @@ class Share:
 
 def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:
     """Return how often an effect repeats along a path `turn` [rad]; None if it does not."""
-    periods = 1.0 if name in TURN_EFFECTS else values.get(f"{name}.periods")
+    effect = find_effect(name)
+    periods = 1.0 if effect.once_per_turn else values.get(f"{name}.{effect.periods}")
     return None if periods is None else periods * turn / (2 * math.pi)
 
 

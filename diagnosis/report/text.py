@@ -15,15 +15,8 @@ from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
+from bristle.plant.effects import separation
 
-SEPARATE = {  # what tells effects of one class apart
-    frozenset({"bias", "asymmetric_coulomb"}): "run it again at another level of friction, warm instead of cold or with another "
-    "preload: a constant torque stays what it is, an asymmetry grows with the friction (both shift the break-away alike)",
-    frozenset({"input_delay", "electrical_pole"}): "drive it with a sweep to ever higher frequencies: the phase lag of a dead time "
-    "grows without limit, that of the winding ends at a quarter period",
-    frozenset({"presliding", "bristle_damping"}): "add small, fast motion that never breaks away: "
-    "only damping makes it lose energy",
-}
 REPEAT_ADVICE = {  # what shows more of what remains in a view that no motion varies
     "tone": "Record with the input at zero and the drive on, then with what runs nearby switched off, to see what swings there.",
     "history": "Record motion to and fro, by small steps and by large ones, to see what remains after a reversal.",
@@ -71,7 +64,7 @@ def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, nam
     if narrow and named:
         lines = [f"On such records other effects look much alike, so confirm the name on better ones: {narrow}."]
     for tie in ties:
-        known = SEPARATE.get(frozenset(tie))
+        known = separation(tie)
         each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)
         lines.append(f"To tell {' and '.join(tie)} apart: {known or each}.")
     if ties and not named:
@@ -114,7 +107,7 @@ def undetected(
         if added:
             seen = f"before {added} was added it gained {gain:.0f} nats; beside that nothing shows it"
         found[c.name] = seen if gain > null.level(c.name) else _limit(c, null, model)
-        if adrift and find_effect(c.name).placed:
+        if adrift and find_effect(c.name).position_dependent:
             found[c.name] += "; all this if the records begin at the same position"
     return found
 
@@ -123,7 +116,7 @@ def _limit(c: Candidate, null: Null, model: Model) -> str:
     effect = find_effect(c.name)
     shows = f"what shows it: {effect.excitation}"
     strength = effect.parameters[0]
-    proportional = strength.minimum <= 0 <= strength.maximum and not effect.local  # nothing is left of it at zero
+    proportional = strength.minimum <= 0 <= strength.maximum and not effect.sparse  # nothing is left of it at zero
     if c.fit is None or not proportional or strength.name not in [f.name for f in c.fit.free]:
         return f"tried, and no trace of it; {shows}"
     place = [f.name for f in c.fit.free].index(strength.name)
@@ -168,7 +161,10 @@ def told_parameters(e: Named) -> dict[str, Estimate]:
         found = [(defaults[name], e.parameters[name].ci95) for name in names if name in e.parameters]
         return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in found)
 
-    left_out = {*(known.bending if idle(known.bending) else ()), *(known.second if idle(known.second[:1]) else ())}
+    left_out = {
+        *(known.shape_parameters if idle(known.shape_parameters) else ()),
+        *(known.second_term if idle(known.second_term[:1]) else ()),
+    }
     return {name: estimate for name, estimate in e.parameters.items() if name not in left_out}
 
 

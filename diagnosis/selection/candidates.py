@@ -122,7 +122,7 @@ def advance_candidate(candidate: Candidate, quiet: Callable[[Fit], Problem], lea
     What does nothing where it starts stays there, unless it switches.
     """
     loose, beyond = has_free_play(candidate.name), candidate.promised - least
-    still = INERT_GAIN[0] < beyond < INERT_GAIN[1] and not loose and not find_effect(candidate.name).rugged
+    still = INERT_GAIN[0] < beyond < INERT_GAIN[1] and not loose and not find_effect(candidate.name).nonsmooth
     if (still and not effort.all) or (loose and beyond < -CONTACT_DEFICIT):
         return replace(candidate, rivals=())
     assert candidate.fit is not None

@@ -174,16 +174,16 @@ def _tested(dataset: Dataset, held: Problem, without: _Without, candidate: Candi
     gains = (new.score - old.score)[held.counted]
     found = max(candidate.gain_over(without.fit), 0.0)
     before, after = without.squares, squares(candidate.fit, dataset.train)
-    size = fall(before, after, effect.local)
-    if effect.local and found > CLEAR_LEVELS * level:
+    size = fall(before, after, effect.sparse)
+    if effect.sparse and found > CLEAR_LEVELS * level:
         size = max(size, acting_fall(before, after))
     kept = squares(old, held.counted), squares(new, held.counted)
     agreed = _clipped(gains, SEGMENT_NATS)
     sure = beyond_doubt(found, level, agreed)
     like = found * len(gains) / max(int(np.count_nonzero(dataset.train)), 1)
     least = min(EXPECTED_SHARE * like - ALLOWED_LOSS, COUPLING_NATS if effect.coupling else SUFFICIENT_NATS)
-    proven = bool(_clipped(gains, WIDE_SEGMENT_NATS) > (-ALLOWED_LOSS - CEDED_SHARE * found if effect.local else least))
-    helps = effect.local or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > LEAST_HELD_OUT_FALL
+    proven = bool(_clipped(gains, WIDE_SEGMENT_NATS) > (-ALLOWED_LOSS - CEDED_SHARE * found if effect.sparse else least))
+    helps = effect.sparse or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > LEAST_HELD_OUT_FALL
     return Test(size, agreed, is_large_enough(size, sure, bool(effect.coupling)), sure or (proven and helps))
 
 
@@ -220,7 +220,7 @@ def is_simpler_equal(plain: Candidate, rich: Candidate, tests: Mapping[str, Test
     if plain.size >= rich.size:
         return False
     chance = rich.fit.total - plain.fit.total < NATS_PER_PARAMETER * (rich.size - plain.size)
-    comparable = not find_effect(plain.name).local  # whose fall may be that of a few segments alone
+    comparable = not find_effect(plain.name).sparse  # whose fall may be that of a few segments alone
     return chance or (
         comparable and tests[plain.name].fall >= NEARLY_EQUAL_FALL * tests[rich.name].fall and _close(rich, plain, CLOSER_ERRORS)
     )

@@ -55,11 +55,11 @@ def refit_shape(fitted: FittedModel, dataset: Dataset, name: str, level: float) 
     What is wrong with the form of an effect hides others, and where contacts meet at other moments it hides everything.
     """
     effect, old = find_effect(name), fitted.fit
-    bending = {f"{name}.{short}" for short in effect.bending}
+    bending = {f"{name}.{short}" for short in effect.shape_parameters}
     if bending & {f.name for f in fitted.servo.free}:
         return fitted
     ends = []
-    for start in effect.form:
+    for start in effect.shape_starts:
         servo = replace(fitted.servo, free=(*fitted.servo.free, *free_parameters(name, start, fitted.servo.limits)))
         values = {**old.values, **{f"{name}.{short}": value for short, value in start.items()}}
         begun = evaluate(fitted.problem, Point(old.simulator, servo.free, values, old.initial))
@@ -90,7 +90,7 @@ def refit_shape(fitted: FittedModel, dataset: Dataset, name: str, level: float) 
 def shape_is_distinct(name: str, values: Mapping[str, float]) -> bool:
     """False where the form of a contact is hardly another: numbers bend it so, for contacts amplify what they round."""
     effect, plain = find_effect(name), inactive_values(name)
-    ways = [(f"{name}.{short}", value) for start in effect.form for short, value in start.items()]
+    ways = [(f"{name}.{short}", value) for start in effect.shape_starts for short, value in start.items()]
     return not effect.coupling or any(abs(values[k] - plain[k]) >= SHAPE_WAY * abs(value - plain[k]) for k, value in ways)
 
 

@@ -118,7 +118,7 @@ def evaluate_starts(
     ):  # which is near the truth shows only when the load lies where it may
         near = [trial for promised, trial in trials[:LOAD_STARTS_TRIED] if promised > fit.total - CONTACT_DEFICIT]
         trials = sorted((value_under_noise(initialise_load(problem, trial), quiet) for trial in near), key=lambda trial: -trial[0])
-    (promised, best), *rest = trials[: max(effort.starts, WAVE_STARTS if far and f"{name}.periods" in defaults else 0)]
+    (promised, best), *rest = trials[: max(effort.starts, WAVE_STARTS if far and find_effect(name).periods else 0)]
     return Candidate(name, best, tuple(banks), promised, tuple(fit for _, fit in rest))
 
 

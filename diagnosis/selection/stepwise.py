@@ -179,7 +179,7 @@ def worth_adding(verdict: SearchRound, first: float) -> bool:
     if (
         verdict.size >= FURTHER_FALL
         and verdict.gain > CLEAR_LEVELS * level
-        and (verdict.kept > 0 or find_effect(verdict.best.name).local)
+        and (verdict.kept > 0 or find_effect(verdict.best.name).sparse)
     ):
         return True
     if verdict.gain >= max(SURE_LEVELS * level, SURE_SHARE * first) and verdict.kept >= AGREED_NATS:

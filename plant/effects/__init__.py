@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Collection
 from functools import cache
 
 from bristle.common.errors import BristleError
@@ -48,3 +49,10 @@ def effect(name: str, wording: Wording = ROTARY) -> Effect:
     if name not in known:
         raise BristleError(f"unknown effect '{name}'; known: {', '.join(known)}")
     return known[name]
+
+
+def separation(names: Collection[str], wording: Wording = ROTARY) -> str:
+    """Return what to measure to tell the effects of a class apart; empty if the names are not all those of one class."""
+    found = [effect(name, wording) for name in names]
+    whole = all(set(names) == set(each.group.split("/")) for each in found)
+    return next((each.separation for each in found if whole and each.separation), "")

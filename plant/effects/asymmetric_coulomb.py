@@ -36,5 +36,6 @@ EFFECT = Effect(
         Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),
     ),
     factor=factor,
+    off={"share": 0.0},
     starts=starts,
 )

@@ -32,7 +32,8 @@ EFFECT = Effect(
     excitation="none helps beside a free viscous term: it takes a measured current",
     confounded=("quadratic_drag",),
     parameters=(Parameter("back_emf.constant", "K", "V.s/rad", 0.05, 0.0, 1e6, "{input} over speed", "spong2006 chapter 6"),),
-    rank=1,
+    order=1,
     drive=drive,
+    off={"constant": 0.0},
     starts=starts,
 )

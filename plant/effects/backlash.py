@@ -43,7 +43,7 @@ EFFECT = Effect(
     group="backlash",
     equation="T = k e (|e|/e0)^(n-1) (1 + lambda e'), e = dz(theta - theta_load, b/2), e0 = 1 mrad, J_load = r J",
     residual=("history",),
-    loose="play",
+    free_play="play",
     excitation="reversals",
     confounded=("input_delay", "presliding", "compliance"),
     parameters=(
@@ -53,7 +53,8 @@ EFFECT = Effect(
         Parameter("backlash.dissipation", "lambda", "s/rad", 1.0, 0.0, 1e6, "damping over elastic {torque} and rate", "hunt1975"),
         Parameter("backlash.exponent", "n", "1", 1.0, 1.0, 3.0, "of the {torque} over the deformation of the contact", "hunt1975"),
     ),
-    form=({"exponent": 1.5}, {"exponent": 2.0}),
+    shape_starts=({"exponent": 1.5}, {"exponent": 2.0}),
     coupling=coupling,
+    search_interval={"share": (0.02, 0.9), "dissipation": (1e-3, 1e3)},
     starts=starts,
 )

@@ -38,5 +38,6 @@ EFFECT = Effect(
         Parameter("bristle_damping.damping", "sigma1", "N.m.s/rad", 0.01, 0.0, 1e6, "damping of the bristles", "canudas1995"),
     ),
     bristles=bristles,
+    rigid_friction=True,
     starts=starts,
 )

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Array, Context, Effect, Evidence
+from bristle.plant.effect import Array, Context, Effect, Evidence, Limits, RecordedMotion
 
 
 def torque(c: Context) -> ca.SX:
@@ -34,6 +34,11 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return starts
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """At least two periods in a turn or, on a linear axis, in the range travelled: fewer are a slow change, no ripple."""
+    return {"periods": (m.two_periods, math.inf)}
+
+
 EFFECT = Effect(
     "cogging",
     "{torque} that repeats from pole to pole",
@@ -51,7 +56,10 @@ EFFECT = Effect(
         Parameter("cogging.amplitude2", "A2", "N.m", 0.0, -1e6, 1e6, "amplitude of the second term", "krishnan2010"),
         Parameter("cogging.phase2", "phi2", "rad", 0.0, -10.0, 10.0, "phase of the second term", "krishnan2010"),
     ),
-    second=("amplitude2", "phase2"),
+    second_term=("amplitude2", "phase2"),
     torque=torque,
+    off={"amplitude": 0.0},
+    periods="periods",
+    limits=limits,
     starts=starts,
 )

@@ -45,7 +45,8 @@ EFFECT = Effect(
         Parameter("compliance.damping", "d", "N.m.s/rad", 0.005, 0.0, 1e6, "damping of the shaft", "spong2006 chapter 6"),
         Parameter("compliance.hardening", "h", "1/rad2", 0.0, 0.0, 1e8, "cubic term of the stiffness, over k", "tuttle1996"),
     ),
-    form=({"hardening": 0.0},),
+    shape_starts=({"hardening": 0.0},),
     coupling=coupling,
+    search_interval={"share": (0.02, 0.9)},
     starts=starts,
 )

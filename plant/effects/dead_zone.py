@@ -6,7 +6,10 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion
+
+LARGEST_SHARE_INSIDE = 0.8  # largest share of the samples whose input lies inside the dead zone (1)
+CREDIBLE_SHARE_INSIDE = 0.5  # share of the samples inside beyond which a stronger likelihood gain is required (1)
 
 
 def command(c: Context) -> ca.SX:
@@ -23,6 +26,16 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return [{"width": width} for width in (*widths, float(np.quantile(np.abs(e.u), 0.3)))]
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """A width that leaves a fifth of the input: with less, the input explains nothing."""
+    return {"width": (0.0, float(np.quantile(np.abs(m.u), LARGEST_SHARE_INSIDE)))}
+
+
+def credible(m: RecordedMotion) -> Limits:
+    """A width that leaves half of the input: with less, the input explains hardly anything."""
+    return {"width": (0.0, float(np.quantile(np.abs(m.u), CREDIBLE_SHARE_INSIDE)))}
+
+
 EFFECT = Effect(
     "dead_zone",
     "a drive that does not answer to small inputs",
@@ -31,11 +44,14 @@ EFFECT = Effect(
     group="dead_zone",
     equation="u - clip(u, -d, d)",
     residual=("u",),
-    rugged=True,
+    nonsmooth=True,
     excitation="reversals with a small input",
     confounded=("stribeck", "asymmetric_coulomb"),
     parameters=(Parameter("dead_zone.width", "d", "V", 0.3, 0.0, 1e6, "input on either side that does nothing", "tao1996"),),
-    rank=1,
+    order=1,
     command=command,
+    off={"width": 0.0},
+    limits=limits,
+    credible=credible,
     starts=starts,
 )

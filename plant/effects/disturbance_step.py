@@ -6,7 +6,9 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion
+
+LEAST_SHARE_BESIDE = 0.05  # least share of the samples before the onset, and after it (1)
 
 
 def torque(c: Context) -> ca.SX:
@@ -24,6 +26,12 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return [{"torque": float(d), "onset": onset} for onset, (d,) in found]
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """An onset with enough before and after it: otherwise the step is a bias with some outliers."""
+    first, last = np.quantile(m.time, [LEAST_SHARE_BESIDE, 1 - LEAST_SHARE_BESIDE])
+    return {"onset": (float(first), float(last))}
+
+
 EFFECT = Effect(
     "disturbance_step",
     "a {torque} that sets in at some time and stays",
@@ -32,7 +40,7 @@ EFFECT = Effect(
     group="disturbance_step",
     equation="T = D clip((t - t0)/rise, 0, 1)",
     residual=("t",),
-    rugged=True,
+    nonsmooth=True,
     excitation="a record that lasts beyond the onset",
     confounded=("friction_drift", "bias"),
     parameters=(
@@ -42,5 +50,7 @@ EFFECT = Effect(
     ),
     load_side=True,
     torque=torque,
+    off={"torque": 0.0},
+    limits=limits,
     starts=starts,
 )

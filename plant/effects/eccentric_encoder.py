@@ -46,7 +46,9 @@ EFFECT = Effect(
         Parameter("eccentric_encoder.sine2", "s2", "1", 0.0, -0.35, 0.35, "share twice in a turn, sine", "ellin2008"),
         Parameter("eccentric_encoder.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share twice in a turn, cosine", "ellin2008"),
     ),
-    form=({"sine2": 0.0, "cosine2": 0.0},),
+    shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     output=output,
+    off={"amplitude": 0.0},
+    once_per_turn=True,
     starts=starts,
 )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter, State
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion
+
+LONGEST_TIME_CONSTANT = 0.25  # longest time constant over the length of a segment (1)
 
 
 def drive(c: Context) -> ca.SX:
@@ -26,6 +28,11 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return [{"time_constant": e.h * periods} for periods in (0.5, 2.0, 6.0, 16.0)]
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """A time constant several times shorter than a segment: a longer one is an integrator."""
+    return {"time_constant": (0.0, LONGEST_TIME_CONSTANT * m.segment)}
+
+
 EFFECT = Effect(
     "electrical_pole",
     "{torque} that follows the input with the winding's time constant",
@@ -39,9 +46,10 @@ EFFECT = Effect(
     parameters=(
         Parameter("electrical_pole.time_constant", "T", "s", 0.003, 1e-6, 10.0, "inductance over resistance", "spong2006"),
     ),
-    rank=2,
+    order=2,
     states=(State("lagged", "V", "input as the current follows it"),),
     rates=rates,
     drive=drive,
+    limits=limits,
     starts=starts,
 )

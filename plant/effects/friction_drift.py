@@ -42,7 +42,8 @@ EFFECT = Effect(
         Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second, at first", "armstrong1994"),
         Parameter("friction_drift.settling", "s", "1/s", 0.0, 0.0, 10.0, "how fast the change comes to its end", "armstrong1994"),
     ),
-    form=({"settling": 0.0},),
+    shape_starts=({"settling": 0.0},),
     factor=factor,
+    off={"rate": 0.0},
     starts=starts,
 )

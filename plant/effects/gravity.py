@@ -43,8 +43,10 @@ EFFECT = Effect(
         Parameter("gravity.sine2", "s2", "1", 0.0, -0.35, 0.35, "share twice in a turn, sine", "spong2006 chapter 7"),
         Parameter("gravity.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share twice in a turn, cosine", "spong2006 chapter 7"),
     ),
-    form=({"sine2": 0.0, "cosine2": 0.0},),
+    shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     load_side=True,
     torque=torque,
+    off={"amplitude": 0.0},
+    once_per_turn=True,
     starts=starts,
 )

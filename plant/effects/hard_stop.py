@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence, power
+from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion, power
 
 DEPTH = 0.1  # rad: where the torque does not depend on the exponent
 
@@ -42,6 +43,12 @@ def _press(e: Evidence, side: float, edge: float) -> np.ndarray:
     return -side * np.maximum(side * e.theta - edge, 0.0)[:, None]
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """Stops touched less than half of the time: others are a spring or a bias."""
+    middle = float(np.median(m.theta))
+    return {"upper": (middle, math.inf), "lower": (-math.inf, middle)}
+
+
 EFFECT = Effect(
     "hard_stop",
     "elastic stops at the ends of the range",
@@ -50,7 +57,7 @@ EFFECT = Effect(
     group="hard_stop",
     equation="T = k e (|e|/e0)^(n-1), e = max(lower - theta, 0) - max(theta - upper, 0), e0 = 0.1 rad",
     residual=("theta",),
-    local=True,
+    sparse=True,
     excitation="motion that reaches the stop",
     confounded=("gravity",),
     parameters=(
@@ -59,8 +66,11 @@ EFFECT = Effect(
         Parameter("hard_stop.lower", "lower", "rad", -1e6, -1e6, 1e6, "where the lower stop begins", "acary2008"),
         Parameter("hard_stop.exponent", "n", "1", 1.0, 1.0, 4.0, "of the {torque} over the depth", "hunt1975"),
     ),
-    form=({"exponent": 1.0}, {"exponent": 2.0}),
+    shape_starts=({"exponent": 1.0}, {"exponent": 2.0}),
     load_side=True,
     torque=torque,
+    off={"stiffness": 0.0},
+    unused={"upper": 1e6, "lower": -1e6},
+    limits=limits,
     starts=starts,
 )

@@ -36,5 +36,6 @@ EFFECT = Effect(
         Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}", "duclusaud2024"),
     ),
     bound=bound,
+    off={"coefficient": 0.0},
     starts=starts,
 )

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Array, Context, Effect, Evidence
+from bristle.plant.effect import Array, Context, Effect, Evidence, Limits, RecordedMotion
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -35,6 +35,11 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     ]
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """On a linear axis at least two periods in the range travelled; once in a turn has a cause in a shaft."""
+    return {"periods": (m.two_periods, math.inf)} if m.linear else {}
+
+
 EFFECT = Effect(
     "position_friction",
     "dry friction that depends on the position",
@@ -52,7 +57,10 @@ EFFECT = Effect(
         Parameter("position_friction.sine2", "s2", "1", 0.0, -0.35, 0.35, "share of a second term, sine", "armstrong1994"),
         Parameter("position_friction.cosine2", "c2", "1", 0.0, -0.35, 0.35, "share of a second term, cosine", "armstrong1994"),
     ),
-    form=({"sine2": 0.0, "cosine2": 0.0},),
+    shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     factor=factor,
+    off={"amplitude": 0.0},
+    periods="periods",
+    limits=limits,
     starts=starts,
 )

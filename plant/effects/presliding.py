@@ -42,5 +42,6 @@ EFFECT = Effect(
         Parameter("presliding.stiffness", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "stiffness of the bristles", "canudas1995"),
     ),
     bristles=bristles,
+    separation="add small, fast motion that never breaks away: only damping makes it lose energy",
     starts=starts,
 )

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion
+
+LARGEST_SHARE_CUT = 0.8  # largest share of the samples whose input is cut (1)
 
 
 def command(c: Context) -> ca.SX:
@@ -22,6 +26,11 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return [{"limit": float(np.quantile(np.abs(e.u), share))} for share in (0.995, 0.98, 0.95, 0.9)]
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """A limit that a fifth of the input stays below: with less, only the sign of the input is left."""
+    return {"limit": (float(np.quantile(np.abs(m.u), 1 - LARGEST_SHARE_CUT)), math.inf)}
+
+
 EFFECT = Effect(
     "saturation",
     "a limit of the input below the drive's known one",
@@ -35,8 +44,10 @@ EFFECT = Effect(
     parameters=(
         Parameter("saturation.limit", "s", "V", 4.0, 0.0, 1e6, "largest input that has an effect", "khalil2002 section 1.2"),
     ),
-    rank=2,
-    local=True,
+    order=2,
+    sparse=True,
     command=command,
+    off={"limit": 1e6},
+    limits=limits,
     starts=starts,
 )

@@ -6,7 +6,11 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence, power
+from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion, power
+from bristle.plant.law import FrictionLaw
+
+LARGEST_SPEED_SHARE = 0.25  # largest Stribeck velocity over the top speed (1)
+COMMON_SPEEDS = 1 - 0.05  # share of the samples whose speed is below the top speed (1)
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -24,6 +28,17 @@ def starts(e: Evidence) -> list[dict[str, float]]:
     return [{"excess": 0.05, "speed": top * share} for share in (0.006, 0.02, 0.06, 0.2)]
 
 
+def limits(m: RecordedMotion) -> Limits:
+    """A curve that has fallen well within the speeds that are seen: otherwise it is a drag by another name."""
+    return {"speed": (0.0, LARGEST_SPEED_SHARE * float(np.quantile(np.abs(m.v), COMMON_SPEEDS)))}
+
+
+def excluded(law: FrictionLaw) -> str:
+    """Laws with a static friction have the curve already."""
+    own = any(p.name.endswith(".Fs") for p in law.parameters)
+    return f"the law '{law.name}' has a Stribeck curve of its own" if own else ""
+
+
 EFFECT = Effect(
     "stribeck",
     "more dry friction at low speed",
@@ -39,7 +54,11 @@ EFFECT = Effect(
         Parameter("stribeck.speed", "vs", "rad/s", 0.3, 1e-6, 1e6, "Stribeck velocity", "armstrong1994"),
         Parameter("stribeck.exponent", "n", "1", 2.0, 0.5, 4.0, "of the velocity in the Stribeck curve", "armstrong1994"),
     ),
-    form=({"exponent": 2.0},),
+    shape_starts=({"exponent": 2.0},),
     factor=factor,
+    off={"excess": 0.0},
+    search_interval={"excess": (0.0, 100.0)},
+    limits=limits,
+    excluded=excluded,
     starts=starts,
 )

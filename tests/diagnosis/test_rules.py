@@ -309,7 +309,7 @@ FORMS = {
 @pytest.mark.parametrize("name", list(FORMS))
 def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
     """And only where the records call for it; what is left then is what the right form leaves."""
-    bending = effect(name).bending
+    bending = effect(name).shape_parameters
     usual = {short: value for short, value in FORMS[name].items() if short not in bending}
     ends = []
     for given in (usual, FORMS[name]):
@@ -336,7 +336,7 @@ def test_a_contact_hardly_bent_has_no_other_form(name, far):
 
 
 def test_every_form_is_tried():
-    assert set(FORMS) == {name for name, each in effects().items() if each.form}
+    assert set(FORMS) == {name for name, each in effects().items() if each.shape_starts}
 
 
 def test_what_few_steps_do_not_reach_is_found_with_patience(case):

@@ -376,7 +376,7 @@ VISCOUS = {  # name: (parameters, states, rates)
 
 def usual(name, parameters):
     """Without what bends the form of an effect."""
-    bending = {f"{name}.{short}" for short in effect(name).bending}
+    bending = {f"{name}.{short}" for short in effect(name).shape_parameters}
     assert bending <= set(parameters)
     return {key: value for key, value in parameters.items() if key not in bending}
 
