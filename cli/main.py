@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
@@ -346,6 +347,7 @@ def main() -> None:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
+    warnings.showwarning = _show_warning
     try:
         code = app(standalone_mode=False)
     except (Exception, Interrupted) as error:
@@ -354,6 +356,11 @@ def main() -> None:
         _say(_explain(error))
         raise SystemExit(ERROR) from None
     raise SystemExit(code if isinstance(code, int) else PASS)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
+    """Say in one line what will change for the user; other warnings also say where they come from."""
+    _say(f"bristle: {message}" if issubclass(category, FutureWarning) else f"{filename}:{lineno}: {category.__name__}: {message}")
 
 
 def _explain(error: BaseException) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,6 +41,12 @@ def mistake(path: Path | str, key: str, value: object, message: str) -> BristleE
     """Return the one-line error for a key of a file; value None stands for a key that is not there."""
     where = f"{path}: " + (key if value is None else f"{key} = {_shown(value)}") if key else f"{path}"
     return BristleError(" ".join(f"{where}: {message}".split()))
+
+
+def quoted(text: str) -> str:
+    """Return a basic TOML string: quotes, backslashes and control characters escaped."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda match: f"\\u{ord(match[0]):04x}", escaped) + '"'
 
 
 def _dotted(location: Sequence[int | str]) -> str:

@@ -14,6 +14,7 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import NotHeldError, fed
 from bristle.diagnosis.checks.plausibility import Plausibility, check
+from bristle.diagnosis.checks.records import must_show
 from bristle.diagnosis.conclusion import conclude, fall_between, gap_between, views_before_and_after
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
@@ -23,7 +24,6 @@ from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.stepwise import Tell, search
 from bristle.records.clock import must_agree
-from bristle.records.intake import must_show
 from bristle.records.record import Record
 
 MAKES_UP = "Effects explain these records, but they only make up for bounds that are too tight."

@@ -9,7 +9,7 @@ from typing import Literal
 from bristle.common.errors import BristleError, suggest
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
-from bristle.harness.record import Samples, read_record
+from bristle.harness.samples import Samples, read_samples
 from bristle.harness.scenario import Loaded, Part, Scenario
 
 Kind = Literal["native", "python"]
@@ -110,7 +110,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
     """
     scenario, samples, h = loaded.scenario, None, loaded.scenario.step
     if scenario.record is not None:
-        samples = _samples(loaded)
+        samples = read_samples(loaded)
         h = samples.h
     parts: dict[str, Part | None] = {"plant": scenario.plant, "controller": scenario.controller, "observer": scenario.observer}
     values = {name: _values(loaded, name, part, fmus[name], h) for name, part in parts.items() if part is not None and name in fmus}
@@ -119,23 +119,6 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         _check_sensors(setup)
         _events(setup)
     return setup
-
-
-def _samples(loaded: Loaded) -> Samples:
-    scenario = loaded.scenario
-    assert scenario.record is not None
-    samples = read_record(loaded.beside(scenario.record.file), scenario.record)
-    if "step" in scenario.model_fields_set and abs(scenario.step - samples.h) > 0.01 * samples.h:
-        raise loaded.error("step", f"{scenario.step:g} s", f"the record is sampled every {samples.h:g} s; leave step out")
-    if scenario.duration is None:
-        return samples
-    count = round(scenario.duration / samples.h) + 1
-    if count > len(samples):
-        longest = (len(samples) - 1) * samples.h
-        raise loaded.error(
-            "duration", f"{scenario.duration:g} s", f"the record ends after {longest:g} s; shorten it or leave it out"
-        )
-    return Samples(samples.h, samples.u[:count], samples.theta[:count], samples.v[:count], samples.measured)
 
 
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[str, Value]:

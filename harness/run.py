@@ -176,7 +176,8 @@ def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:
     }
     result: dict[str, Any] = {
         "scenario": setup.loaded.name, "verdict": "fail", "steps": trace.steps, "wall_s": 0.0,
-        "duration_s": trace.steps * trace.h, "step_s": trace.h, "overrides": setup.loaded.overrides, "notes": [],
+        "duration_s": trace.steps * trace.h, "step_s": trace.h, "overrides": setup.loaded.overrides,
+        "notes": [*setup.loaded.notes, *(setup.samples.findings if setup.samples else ())],
         "estimates": metrics.estimates(trace, view.true, view.units),
         "states": metrics.state_errors(trace, view.states(), view.units),
         "checks": [], "fmus": fmus,

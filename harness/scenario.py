@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,6 +14,7 @@ from pydantic import BeforeValidator, Field, ValidationError, field_validator, m
 from bristle.common.errors import BristleError
 from bristle.common.toml import Section, first_mistake, mistake, read_toml
 from bristle.common.units import quantity
+from bristle.records.layout import ColumnTable, LayoutTable
 
 MAX_STEPS = 5_000_000  # a run keeps every step in memory
 PARTS = ("plant", "controller", "observer")
@@ -62,28 +64,11 @@ class Stimulus(Section):
     points: list[tuple[Given, Given]] = Field(min_length=1)
 
 
-class Column(Section):
-    """A column of a record with its unit; `scale` (such as "1 rad/m") turns it into what the observer reads."""
-
-    column: str
-    unit: str
-    scale: str | None = None
-
-
-class Record(Section):
-    """A measured file in place of plant and controller."""
+class Record(LayoutTable):
+    """A measured file in place of plant and controller; `velocity` is one that was recorded besides the position."""
 
     file: str
-    time: Column
-    u: Column
-    theta: Column | None = None
-    v: Column | None = None
-
-    @model_validator(mode="after")
-    def _measured(self) -> Record:
-        if self.theta is None and self.v is None:
-            raise ValueError("neither theta nor v is given; name the column of at least one")
-        return self
+    velocity: ColumnTable | None = None
 
 
 class Validation(Section):
@@ -180,8 +165,8 @@ def _steps(key: str, duration: float, step: float) -> None:
 class Loaded:
     """A scenario with where it came from."""
 
-    def __init__(self, path: Path, text: str, scenario: Scenario, overrides: Sequence[str]) -> None:
-        self.path, self.text, self.scenario, self.overrides = path, text, scenario, list(overrides)
+    def __init__(self, path: Path, text: str, scenario: Scenario, overrides: Sequence[str], notes: Sequence[str] = ()) -> None:
+        self.path, self.text, self.scenario, self.overrides, self.notes = path, text, scenario, list(overrides), list(notes)
 
     @property
     def name(self) -> str:
@@ -223,6 +208,7 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         if "record" in tree:
             raise BristleError(f"{path}: --seed {seed}: a [record] has no reference to seed; leave --seed out")
         tree.setdefault("controller", {}).setdefault("parameters", {})["seed"] = seed
+    notes = _new_record_keys(path, tree)
     try:
         scenario = Scenario.model_validate(tree)
     except ValidationError as error:
@@ -230,7 +216,35 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
     if scenario.name and scenario.name != path.stem:
         raise mistake(path, "name", scenario.name, f"must be the file's name '{path.stem}'; rename one of them or leave name out")
     given = [*overrides, *([f"controller.parameters.seed={seed}"] if seed is not None else [])]
-    return Loaded(path, text, scenario, given)
+    return Loaded(path, text, scenario, given, notes)
+
+
+OLD_RECORD_KEYS = ("u", "theta", "v")  # of [record], before it had the tables of a model file
+
+
+def _new_record_keys(path: Path, tree: dict[str, Any]) -> list[str]:
+    """Replace the deprecated keys of [record] by [record.input], [record.output] and [record.velocity]; say so, also as warning."""
+    section = tree.get("record")
+    old = [key for key in OLD_RECORD_KEYS if isinstance(section, dict) and key in section]
+    if not isinstance(section, dict) or not old:
+        return []
+    kinds = {"u": ("input", "voltage"), "theta": ("output", "position"), "v": ("output", "velocity")}
+    new, written = {key: value for key, value in section.items() if key not in old}, []
+    for key in old:
+        name, kind = kinds[key]
+        if key == "v" and "theta" in old:
+            name, kind = "velocity", ""
+        if name in section:
+            raise mistake(
+                path, f"record.{key}", None, f"is the deprecated name of [record.{name}], which is given as well; remove it"
+            )
+        given = section[key]
+        new[name] = {**given, "kind": kind} if kind and isinstance(given, dict) else given
+        written.append(f"{key} as [record.{name}]" + (f' with kind = "{kind}"' if kind else ""))
+    tree["record"] = new
+    line = f"{path}: record: the keys {', '.join(old)} are deprecated; write {', '.join(written)}"
+    warnings.warn(line, FutureWarning, stacklevel=2)
+    return [line]
 
 
 def _flatten_parameters(tree: dict[str, Any], part: str) -> None:

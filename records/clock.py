@@ -13,12 +13,14 @@ from bristle.common.table import Array
 from bristle.records.record import Raw, Record
 from bristle.records.resolution import common_step
 
-LONGEST_PERIOD, SHORTEST_PERIOD = 0.1, 1e-5  # s: sampling periods outside are not those of a servo, but of a wrong unit
-PERIOD_ROUNDING = 1e-6  # of them: a rounded period that is one of these by intent is not outside
-UNIFORM_TOLERANCE = 0.01  # a sampling interval may differ from the mean by this fraction
-LARGEST_JITTER = 0.5  # largest rms deviation of an interval, as a fraction of it, that is resampled
-RATE_TOLERANCE = 1e-3  # sampling periods that differ less are one: the inertia is then off by twice as much at most
+PERIOD_ROUNDING = 1e-6  # fraction by which a rounded sampling period may lie outside the allowed range
+UNIFORM_TOLERANCE = 0.01  # fraction of the mean by which a sampling interval may differ from it
+LARGEST_JITTER = 0.5  # fraction of the sampling period: largest rms deviation of the intervals that is resampled
+RATE_TOLERANCE = 1e-3  # fraction: sampling periods that differ by less are treated as equal
 REPEATED_SHARE = 0.02  # largest share of repeated time stamps that are left out
+PRINTED_STEP = 0.7  # of the sampling period: largest step in which a printed time may count as rounded
+PRINTED_DEVIATION = 0.75  # of that step: largest deviation of a rounded time from a uniform one
+WHOLE_INTERVALS = 0.2  # intervals: deviation from a whole number up to which a longer interval counts as missing samples
 
 
 def increasing(raw: Raw) -> None:
@@ -41,18 +43,14 @@ def increasing(raw: Raw) -> None:
         raw.keep(np.concatenate([[True], steps != 0]))
 
 
-def period_of(raw: Raw) -> float:
-    """Return the ordinary sampling period; refuse one that is not of a servo."""
+def period_of(raw: Raw, shortest: float, longest: float) -> float:
+    """Return the median sampling period [s]; refuse one outside an interval."""
     h = float(np.median(np.diff(raw.time)))
-    if h > LONGEST_PERIOD * (1 + PERIOD_ROUNDING):
-        raise raw.error(
-            f"sampled every {h:.7g} s; allowed are {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s: "
-            "is [time] unit right (ms, us)? else sample faster"
-        )
-    if h < SHORTEST_PERIOD * (1 - PERIOD_ROUNDING):
-        raise raw.error(
-            f"sampled every {h:.7g} s; allowed are {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s: is [time] unit right (s, ms)?"
-        )
+    line = f"sampled every {h:.7g} s; allowed are {shortest:g} to {longest:g} s: is [time] unit right "
+    if h > longest * (1 + PERIOD_ROUNDING):
+        raise raw.error(f"{line}(ms, us)? else sample faster")
+    if h < shortest * (1 - PERIOD_ROUNDING):
+        raise raw.error(f"{line}(s, ms)?")
     return h
 
 
@@ -66,11 +64,11 @@ def clock(raw: Raw) -> tuple[Array, float, bool]:
     digit = common_step(raw.time)
     slope, start = np.polyfit(np.arange(n), raw.time - raw.time[0], 1)
     line = raw.time[0] + start + slope * np.arange(n)
-    if digit is not None and digit < 0.7 * h and np.max(np.abs(raw.time - line)) <= 0.75 * digit:
+    if digit is not None and digit < PRINTED_STEP * h and np.max(np.abs(raw.time - line)) <= PRINTED_DEVIATION * digit:
         raw.say(f"time is written in steps of {digit:.4g} s; taken as uniform, {slope:.6g} s a sample")
         return line, float(slope), False
     ordinary = float(np.median(steps))
-    missing = (np.round(steps / ordinary) > 1) & (np.abs(steps / ordinary - np.round(steps / ordinary)) < 0.2)
+    missing = (np.round(steps / ordinary) > 1) & (np.abs(steps / ordinary - np.round(steps / ordinary)) < WHOLE_INTERVALS)
     rms = float(np.sqrt(np.mean((steps[~missing] - ordinary) ** 2))) / ordinary
     if rms > LARGEST_JITTER:
         raise raw.error(
@@ -95,10 +93,7 @@ def one_rate(records: list[Record]) -> list[Record]:
         if differs and (h - record.h > UNIFORM_TOLERANCE * h or not record.resampled):
             line = f"record {record.name}: sampled every {record.h:.6g} s, another record every {h:.6g} s; resampled to that"
             record = replace(record, findings=(*record.findings, line))
-        if differs or record.resampled:
-            time, u, y = _resample(record.time, record.u, record.y, h)
-            record = replace(record, time=time, u=u, y=y, resampled=True)
-        found.append(replace(record, h=h))
+        found.append(replace(_resampled(record, h) if differs or record.resampled else record, h=h))
     return found
 
 
@@ -116,11 +111,17 @@ def must_agree(records: Sequence[Record]) -> None:
             raise BristleError(f"record {record.name}: {seen}; {how}")
 
 
-def _resample(time: Array, u: Array, y: Array, h: float) -> tuple[Array, Array, Array]:
-    """Return the record at period h: the output interpolated, the held input averaged over each new interval."""
+def _resampled(record: Record, h: float) -> Record:
+    """Return the record at period h: outputs interpolated, the held input averaged over each new interval."""
+    time, u = record.time, record.u
     n = int(np.floor((time[-1] - time[0]) / h * (1 + 1e-12))) + 1
     grid = time[0] + h * np.arange(n)
     held = np.concatenate([[0.0], np.cumsum(u[:-1] * np.diff(time))])
     last = time[-1] + h  # the last sample is held as well
     area = np.interp([*grid, grid[-1] + h], [*time, last], [*held, held[-1] + u[-1] * h])
-    return grid, np.diff(area) / h, np.asarray(Akima1DInterpolator(time, y, method="makima")(np.minimum(grid, time[-1])))
+    y, velocity = (
+        None if values is None else np.asarray(Akima1DInterpolator(time, values, method="makima")(np.minimum(grid, time[-1])))
+        for values in (record.y, record.velocity)
+    )
+    assert y is not None
+    return replace(record, time=grid, u=np.diff(area) / h, y=y, velocity=velocity, resampled=True)

@@ -1,9 +1,9 @@
-"""Intake of measured records: recognise what is wrong with them, mend what is safe, report it, refuse the rest."""
+"""Read measured files, convert them to SI, find what is wrong with them, repair and report it or refuse the record."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,41 +12,90 @@ from numpy.typing import ArrayLike
 
 from bristle.common.errors import BristleError
 from bristle.common.table import Array, read_columns, si_column
-from bristle.diagnosis.modelfile import Model, must_be_model, must_be_path
 from bristle.records.clock import clock, increasing, one_rate, period_of
-from bristle.records.record import NAMES, Raw, Record, vectors
+from bristle.records.layout import Layout
+from bristle.records.record import COLUMN_NAMES, Raw, Record, must_be_path, vectors
 from bristle.records.sensor import (
     MOTIONLESS_STEPS,
-    mend_spikes,
+    compare_resolution,
     must_move,
+    repair_spikes,
     report_frozen,
     report_limits,
-    resolution_of,
-    tell_steps,
+    report_steps,
     unwrap,
 )
 
-Entry = tuple[str, str, ArrayLike, ArrayLike, ArrayLike]
-LEAST_SAMPLES = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz
-LEAST_DURATION = 2.0  # s, likewise
-SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30  # SI: no rig gives less or more, and squares of such numbers are no numbers any more
-GAP_INTERVALS = 3.5  # an interval of more than this many is a gap; shorter ones are bridged
-COPY_TOLERANCE = 1e-6  # of its range: columns that differ by less are one, written with more or fewer digits
-LATE_START = (
-    10.0  # s: a time that starts later counts from the first record: seen from afar, a drift is none that friction can have
-)
-EPOCH_START = 1e6  # s: later still, it counts from 1970, and not with the records before
+SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30  # SI: no rig gives a smaller or larger value, and the square of one is not finite
+GAP_INTERVALS = 3.5  # sampling intervals: a longer interval is a gap, a shorter one is interpolated over
+COPY_TOLERANCE = 1e-6  # of its range: columns that differ by less are the same, written with more or fewer digits
+CONSTANT_TOLERANCE = 1e-9  # of its largest value: an input that varies by less is constant
+LATE_START = 10.0  # s: a time that starts later is counted from the first sample of the first record
+EPOCH_START = 1e6  # s: a time that starts later still is counted from 1970, not on the clock of the records before
 
 
-def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list[Record]:
-    """Read measured files, check and mend them.
+@dataclass(frozen=True)
+class Requirements:
+    """What a record must have to serve a purpose.
+
+    Attributes
+    ----------
+    samples : int
+        Least number of samples, of a record or of a piece of it between gaps.
+    duration : float
+        Least duration [s], likewise.
+    shortest_period, longest_period : float
+        Range of the sampling period [s].
+    identification : bool
+        Whether the record is to identify a servo: its output must move and the input of one record at least, spikes and wraps
+        of the sensor are repaired, a gap cuts the record. Else the samples stay as recorded, and a gap is refused.
+    """
+
+    samples: int = 10
+    duration: float = 0.0
+    shortest_period: float = 0.0
+    longest_period: float = float("inf")
+    identification: bool = False
+
+
+AS_RECORDED = Requirements()
+
+
+def load_record(layout: Layout, path: Path | str) -> Record:
+    """Read one measured file; samples stay as they are, only an uneven time is resampled.
 
     Parameters
     ----------
-    model : Model
+    layout : Layout
+        Names the columns and their units.
+    path : path
+        A CSV, MAT, NPZ or Parquet file.
+
+    Returns
+    -------
+    Record
+        In SI, uniformly sampled; `findings` says what was wrong.
+
+    Raises
+    ------
+    BristleError
+        One line: what, where, what is allowed, what to do.
+    """
+    [record] = load_records(layout, path)
+    return record
+
+
+def load_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs: Requirements = AS_RECORDED) -> list[Record]:
+    """Read measured files, check and repair them.
+
+    Parameters
+    ----------
+    layout : Layout
         Names the columns and their units.
     paths : path or sequence of path
         CSV, MAT, NPZ or Parquet files, each once.
+    needs : Requirements
+        What the records must have.
 
     Returns
     -------
@@ -58,7 +107,6 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
     BristleError
         One line: what, where, what is allowed, what to do.
     """
-    must_be_model(model)
     given: object = paths
     listed: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
     if not listed:
@@ -69,21 +117,25 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
     for k, path in enumerate(real):
         if path in real[:k]:
             raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
-    read = [_read(model, Path(path)) for path in listed]
     stems = [Path(path).stem for path in listed]
     names = [f"{stem}#{stems[:i].count(stem) + 1}" if stems.count(stem) > 1 else stem for i, stem in enumerate(stems)]
-    return _records(model, [(name, str(path), *columns) for name, path, columns in zip(names, listed, read, strict=True)])
+    raws = [Raw(name, str(path), *_read(layout, Path(path))) for name, path in zip(names, listed, strict=True)]
+    return _records(layout, raws, needs)
 
 
-def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
-    """Check and mend records that are in memory.
+def records_from_arrays(
+    layout: Layout, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]], needs: Requirements = AS_RECORDED
+) -> list[Record]:
+    """Check and repair records that are in memory.
 
     Parameters
     ----------
-    model : Model
+    layout : Layout
         What the arrays are; its column names and units are not used.
     arrays : iterable of (name, time, u, y)
-        Arrays of shape (n,) in SI: seconds, the model's `input_unit` and `output_unit`.
+        Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`.
+    needs : Requirements
+        What the records must have.
 
     Returns
     -------
@@ -95,87 +147,77 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
     BristleError
         One line: what, where, what is allowed, what to do.
     """
-    must_be_model(model)
     if not isinstance(arrays, Iterable):
         raise BristleError("the records are no list; give one of (name, time, u, y)")
-    return _records(model, _entries(arrays))
+    return _records(layout, _raw_records(arrays), needs)
 
 
-def must_show(model: Model, records: Sequence[Record]) -> None:
-    """Refuse records in which there is nothing to diagnose: whoever makes a `Record` by hand has not been told yet."""
+def must_show(layout: Layout, records: Sequence[Record], needs: Requirements) -> None:
+    """Refuse records, made by hand maybe, that are too short, impossible or without motion."""
     still: list[BristleError] = []
     for record in records:
-        raw = Raw(record.name, record.name, record.time, record.u, record.y, [])
-        if len(record) * record.h < LEAST_DURATION:
-            raise _too_brief(raw)
-        _possible(model, raw)
+        raw = Raw(record.name, record.name, record.time, record.u, record.y)
+        if len(record) * record.h < needs.duration:
+            raise _too_short(raw, needs)
+        _must_be_possible(layout, raw)
         try:
-            must_move(model, raw, record.resolution or model.resolution)
+            must_move(layout, raw, record.resolution or layout.resolution)
         except BristleError as error:
             still.append(error)
     if len(still) == len(records):
         raise still[0]
-    _must_be_driven(model, records, records[0].name)
+    _must_be_driven(layout, records, records[0].name)
 
 
-def _must_be_driven(model: Model, records: Sequence[Record], where: str) -> None:
-    if all(_constant(record.u) for record in records):
-        raise BristleError(
-            f"record {where}: input is constant ({records[0].u[0]:g} {model.input_unit}) in every record; "
-            "check [input] column, and give a record in which it moves"
-        )
+def _read(layout: Layout, path: Path) -> list[Array]:
+    columns = read_columns(path)
+    found = [
+        si_column(f"record {path}: {key}", columns, column.column, column.unit, column.scale, unit)
+        for key, (column, unit) in layout.columns.items()
+    ]
+    return vectors(str(path), *found)
 
 
-def _entries(arrays: Iterable[object]) -> Iterator[Entry]:
-    """Check that each entry is what it should be; a record in memory is told by its name."""
-    for number, entry in enumerate(arrays, start=1):
+def _raw_records(entries: Iterable[object]) -> Iterator[Raw]:
+    """Check that each entry is a record in memory; errors name it as it is named there."""
+    for number, entry in enumerate(entries, start=1):
         if not isinstance(entry, list | tuple) or len(entry) != 4:
             raise BristleError(f"record {number}: is not (name, time, u, y); give these four")
-        name, time, u, y = entry
-        yield name, name, time, u, y
+        name, *columns = entry
+        yield Raw(name, name, *vectors(name, *columns))
 
 
-def _records(model: Model, entries: Iterable[Entry]) -> list[Record]:
-    """Check and mend records, each of a name, what errors call it, time, u and y."""
+# -- records together ----------------------------------------------------------------------------------------------------
+def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[Record]:
+    """Check and repair records, and bring them to one sampling period."""
+    if not isinstance(layout, Layout):
+        raise BristleError(f"the layout is a {type(layout).__name__}; give a Layout, or a model that load_model returns")
     records: list[Record] = []
-    before: dict[str, tuple[Array, Array, Array]] = {}
+    before: dict[str, list[Array]] = {}
     origin: float | None = None
-    for name, where, *given in entries:
-        time, u, y = vectors(where, *given)
-        if where in before:
-            raise BristleError(f"record {where}: two records have this name, by which reports tell them; give each its own")
-        raw = Raw(name, where, time, u, y, [])
+    for raw in raws:
+        if raw.where in before:
+            raise BristleError(f"record {raw.where}: two records have this name; give each its own, by which reports call it")
         _cut_ends(raw)
-        _possible(model, raw)
+        _must_be_possible(layout, raw)
         for other, columns in before.items():
-            if all(map(_same, (raw.time, raw.u, raw.y), columns)):
+            if all(map(_same, raw.columns, columns)):
                 raise raw.error(f"is the same as {other}; a copy is no second measurement: leave it out")
-        before[where] = raw.time, raw.u, raw.y
+        before[raw.where] = raw.columns
         begin = float(raw.time[0])
         if origin is None or (not origin and abs(begin) > EPOCH_START):
             origin = begin if abs(begin) > LATE_START else 0.0
         if origin and abs(begin) > LATE_START:
             raw.time = raw.time - origin
             raw.say(f"time starts at {begin:.6g} s; counted from the first record's first sample")
-        records += _pieces(model, raw)
+        records += _pieces(layout, raw, needs)
     if not records:
         raise BristleError("no record is given; give at least one")
-    _must_be_driven(model, records, next(iter(before)))
-    for i, record in enumerate(records):
-        if _constant(record.u):
-            line = f"input is constant ({record.u[0]:g} {model.input_unit}): the record shows friction, but hardly inertia"
-            records[i] = replace(record, findings=(*record.findings, f"record {record.name}: {line}"))
-    return tell_steps(model, one_rate(records))
-
-
-def _read(model: Model, path: Path) -> tuple[Array, Array, Array]:
-    columns = read_columns(path)
-    time = si_column(f"record {path}: time", columns, model.time.column, model.time.unit, None, "s")
-    u, y = (
-        si_column(f"record {path}: {key}", columns, column.column, column.unit, column.scale, unit)
-        for key, column, unit in (("input", model.input, model.input_unit), ("output", model.output, model.output_unit))
-    )
-    return time, u, y
+    if needs.identification:
+        _must_be_driven(layout, records, next(iter(before)))
+        records = [_report_constant_input(layout, record) for record in records]
+    records = one_rate(records)
+    return report_steps(layout, records) if needs.identification else records
 
 
 def _same(one: Array, other: Array) -> bool:
@@ -184,32 +226,48 @@ def _same(one: Array, other: Array) -> bool:
 
 
 def _constant(u: Array) -> bool:
-    return bool(np.ptp(u) <= 1e-9 * np.max(np.abs(u)))
+    return bool(np.ptp(u) <= CONSTANT_TOLERANCE * np.max(np.abs(u)))
 
 
+def _must_be_driven(layout: Layout, records: Sequence[Record], where: str) -> None:
+    if all(_constant(record.u) for record in records):
+        raise BristleError(
+            f"record {where}: input is constant ({records[0].u[0]:g} {layout.input_unit}) in every record; "
+            "check [input] column, and give a record in which it varies"
+        )
+
+
+def _report_constant_input(layout: Layout, record: Record) -> Record:
+    if not _constant(record.u):
+        return record
+    line = f"input is constant ({record.u[0]:g} {layout.input_unit}): the record shows friction, but hardly inertia"
+    return replace(record, findings=(*record.findings, f"record {record.name}: {line}"))
+
+
+# -- one record ----------------------------------------------------------------------------------------------------------
 def _cut_ends(raw: Raw) -> None:
     """Leave out samples that are not finite at the ends; refuse them between."""
-    table = np.column_stack([raw.time, raw.u, raw.y])
+    table = np.column_stack(raw.columns)
     whole = np.asarray(np.all(np.isfinite(table), axis=1))
     if whole.all():
         return
     good = np.flatnonzero(whole)
     if not len(good):
-        raise raw.error("no sample is finite in time, input and output; check the columns")
+        raise raw.error("no sample is finite in all columns; check the columns")
     first, last = int(good[0]), int(good[-1])
     if not whole[first : last + 1].all():
         k = first + int(np.argmin(whole[first : last + 1]))
-        key = NAMES[int(np.argmin(np.isfinite(table[k])))]
+        key = COLUMN_NAMES[int(np.argmin(np.isfinite(table[k])))]
         count = int(np.sum(~whole[first : last + 1]))
         raise raw.error(f"{key} is not finite at sample {k} ({count} such samples before the end); repair them or cut the record")
     raw.say(f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite; left out")
     raw.keep(slice(first, last + 1))
 
 
-def _possible(model: Model, raw: Raw) -> None:
-    """Refuse numbers that are none of a rig."""
-    units = ("s", model.input_unit, model.output_unit)
-    for key, values, unit in zip(NAMES, (raw.time, raw.u, raw.y), units, strict=True):
+def _must_be_possible(layout: Layout, raw: Raw) -> None:
+    """Refuse values that no rig gives."""
+    units = [unit for _, unit in layout.columns.values()]
+    for key, values, unit in zip(COLUMN_NAMES, raw.columns, units, strict=False):
         most = float(np.max(np.abs(values)))
         if most > LARGEST_VALUE or 0.0 < most < SMALLEST_VALUE:
             raise raw.error(
@@ -217,36 +275,36 @@ def _possible(model: Model, raw: Raw) -> None:
             )
 
 
-def _too_brief(raw: Raw) -> BristleError:
-    length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s; at least {LEAST_DURATION:g} s are needed"
+def _too_short(raw: Raw, needs: Requirements) -> BristleError:
+    length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s; at least {needs.duration:g} s are needed"
     return raw.error(f"{length}: record longer, or correct [time] unit")
 
 
-def _pieces(model: Model, raw: Raw) -> list[Record]:
+def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
+    """Return the pieces of a record between its gaps, usually one, with the findings of the whole in the first."""
     increasing(raw)
-    if len(raw.time) < LEAST_SAMPLES:
-        raise raw.error(f"{len(raw.time)} samples; at least {LEAST_SAMPLES} are needed: record longer")
-    h = period_of(raw)
-    resolution = resolution_of(model, raw)
-    mend_spikes(raw, resolution)
-    wrapped = model.output_kind == "position" and unwrap(model, raw, resolution)
-    report_frozen(raw, resolution)
-    report_limits(raw)
-    must_move(model, raw, resolution or model.resolution)
-    borders = np.flatnonzero(np.diff(raw.time) > GAP_INTERVALS * h) + 1
-    runs = list(zip([0, *borders.tolist()], [*borders.tolist(), len(raw.time)], strict=True))
+    if len(raw.time) < needs.samples:
+        raise raw.error(f"{len(raw.time)} samples; at least {needs.samples} are needed: record longer")
+    h = period_of(raw, needs.shortest_period, needs.longest_period)
+    resolution = compare_resolution(layout, raw)
+    wrapped = needs.identification and _repaired(layout, raw, resolution)
+    borders = (np.flatnonzero(np.diff(raw.time) > GAP_INTERVALS * h) + 1).tolist()
+    if borders and not needs.identification:
+        raise _gap(raw, borders[0], h)
+    runs = list(zip([0, *borders], [*borders, len(raw.time)], strict=True))
     records, dropped = [], []
     for number, (start, end) in enumerate(runs, start=1):
         which = "" if len(runs) == 1 else f"[{number}]"
-        name = raw.name + which
-        piece = Raw(name, raw.where + which, raw.time[start:end], raw.u[start:end], raw.y[start:end], [])
-        length = piece.time[-1] - piece.time[0]
-        still = np.ptp(piece.y) <= MOTIONLESS_STEPS * (resolution or 0.0)
-        if len(piece.time) < LEAST_SAMPLES or length < LEAST_DURATION or still:
-            dropped.append((name, "nothing moves" if still else f"only {length:.3g} s and {len(piece.time)} samples"))
+        piece = Raw(raw.name + which, raw.where + which, *(column[start:end] for column in raw.columns))
+        if why := _unusable(piece, resolution, needs):
+            dropped.append((piece.name, why))
             continue
-        time, period, jitters = clock(piece)
-        records.append(Record(name, time, period, piece.u, piece.y, tuple(piece.lines), resolution, wrapped, jitters))
+        time, period, uneven = clock(piece)
+        records.append(
+            Record(
+                piece.name, time, period, piece.u, piece.y, tuple(piece.lines), resolution, wrapped, uneven, velocity=piece.velocity
+            )
+        )
     if len(runs) > 1:
         worst = int(np.argmax(np.diff(raw.time)))
         seen = f"largest {raw.time[worst + 1] - raw.time[worst]:.3g} s after {raw.time[worst]:.6g} s"
@@ -255,7 +313,31 @@ def _pieces(model: Model, raw: Raw) -> list[Record]:
         raw.say(f"piece {name} left out: {why}")
     if not records:
         if len(runs) == 1:
-            raise _too_brief(raw)
-        raise raw.error(f"no piece between gaps lasts {LEAST_DURATION:g} s with {LEAST_SAMPLES} samples; record without gaps")
+            raise _too_short(raw, needs)
+        raise raw.error(f"no piece between gaps lasts {needs.duration:g} s with {needs.samples} samples; record without gaps")
     records[0] = replace(records[0], findings=(*raw.lines, *records[0].findings))
     return records
+
+
+def _repaired(layout: Layout, raw: Raw, resolution: float | None) -> bool:
+    """Repair and report what output and input show of sensor and drive; return whether the position was wrapped."""
+    repair_spikes(raw, resolution)
+    wrapped = layout.output_kind == "position" and unwrap(layout, raw, resolution)
+    report_frozen(raw, resolution)
+    report_limits(raw)
+    must_move(layout, raw, resolution or layout.resolution)
+    return wrapped
+
+
+def _unusable(piece: Raw, resolution: float | None, needs: Requirements) -> str:
+    """Return why a piece cannot be used, or an empty text."""
+    length = piece.time[-1] - piece.time[0]
+    if needs.identification and np.ptp(piece.y) <= MOTIONLESS_STEPS * (resolution or 0.0):
+        return "nothing moves"
+    short = len(piece.time) < needs.samples or length < needs.duration
+    return f"only {length:.3g} s and {len(piece.time)} samples" if short else ""
+
+
+def _gap(raw: Raw, border: int, h: float) -> BristleError:
+    gap = f"a gap of {raw.time[border] - raw.time[border - 1]:.3g} s after sample {border - 1} ({raw.time[border - 1]:.6g} s)"
+    return raw.error(f"{gap}, allowed {GAP_INTERVALS:g} sampling intervals of {h:.4g} s; cut the record there")

@@ -1,8 +1,9 @@
-"""Records: ready, as all else takes them, and raw, while intake looks them through."""
+"""Records: `Record` as all other code takes them, `Raw` while they are checked and repaired."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,35 +11,37 @@ from numpy.typing import ArrayLike, NDArray
 from bristle.common.errors import BristleError
 from bristle.common.table import KINDS, Array
 
-NAMES = ("time", "input", "output")
+COLUMN_NAMES = ("time", "input", "output", "velocity")  # of a record, as errors name them
 
 
 @dataclass(frozen=True)
 class Record:
-    """A record in SI, uniformly sampled, without holes or wraps.
+    """A record in SI, uniformly sampled, without gaps.
 
     Attributes
     ----------
     name : str
         Name of the file; pieces of one are name[1], name[2].
     time : ndarray, shape (n,)
-        Time [s], uniform; its start is the record's own, so that records of one session share it.
+        Time [s], uniform; it does not begin with 0, so that records of one measurement keep their order in time.
     h : float
         Sampling period [s], the same for all records that were loaded together.
     u : ndarray, shape (n,)
-        Input in the model's `input_unit`, held from each sample to the next.
+        Input in the layout's `input_unit`, held from each sample to the next.
     y : ndarray, shape (n,)
-        Output in the model's `output_unit`.
+        Output in the layout's `output_unit`.
     findings : tuple of str
-        What was found and done, one line each.
+        What was found and repaired, one line each.
     resolution : float or None
-        Smallest step that the output was recorded in, None where it has none.
+        Step in which the output was recorded, None if it shows none.
     wrapped : bool
         Whether the position was recorded within one turn, and is unwrapped here.
     resampled : bool
         Whether samples were interpolated.
     ahead : float
         Share of the next sample in `u`, where the input was found to change between the samples.
+    velocity : ndarray, shape (n,), or None
+        Velocity that was recorded besides the position.
 
     Raises
     ------
@@ -57,10 +60,11 @@ class Record:
     wrapped: bool = False
     resampled: bool = False
     ahead: float = 0.0
+    velocity: Array | None = None
 
     def __post_init__(self) -> None:
-        columns = vectors(self.name, self.time, self.u, self.y)
-        for key, name, column in zip(("time", "u", "y"), NAMES, columns, strict=True):
+        columns = vectors(self.name, self.time, self.u, self.y, self.velocity)
+        for key, name, column in zip(("time", "u", "y", "velocity"), COLUMN_NAMES, columns, strict=False):
             if not np.isfinite(column).all():
                 k = int(np.argmin(np.isfinite(column)))
                 raise BristleError(f"record {self.name}: {name} is not finite at sample {k}; repair it or cut the record")
@@ -80,14 +84,20 @@ class Record:
 
 @dataclass
 class Raw:
-    """A record on its way: SI, and whatever else is the matter; `where` is the path or name that errors begin with."""
+    """A record in SI before it is checked; `where` is the path or name that errors begin with, `lines` are the findings."""
 
     name: str
     where: str
     time: Array
     u: Array
     y: Array
-    lines: list[str]
+    velocity: Array | None = None
+    lines: list[str] = field(default_factory=list)
+
+    @property
+    def columns(self) -> list[Array]:
+        """Time, input, output and, where it was recorded, velocity."""
+        return [self.time, self.u, self.y, *([] if self.velocity is None else [self.velocity])]
 
     def say(self, line: str) -> None:
         """Report what was found."""
@@ -100,19 +110,26 @@ class Raw:
     def keep(self, chosen: NDArray[np.bool_] | slice) -> None:
         """Leave out all other samples."""
         self.time, self.u, self.y = self.time[chosen], self.u[chosen], self.y[chosen]
+        self.velocity = None if self.velocity is None else self.velocity[chosen]
 
 
-def vectors(name: object, *columns: ArrayLike) -> tuple[Array, Array, Array]:
-    """Return time, input and output of a record as vectors of numbers of one length; masked samples are NaN."""
+def must_be_path(path: object, what: str) -> None:
+    """Raise `BristleError` where something else is given for a path."""
+    if not isinstance(path, str | os.PathLike):
+        raise BristleError(f"the path of a {what} is a {type(path).__name__}; give text or a Path")
+
+
+def vectors(name: object, *columns: ArrayLike | None) -> list[Array]:
+    """Return time, input, output and, if it is given, velocity of a record as vectors of one length; masked samples are NaN."""
     if not isinstance(name, str):
         raise BristleError(f"record {name}: its name is a {type(name).__name__}; give text")
-    time, u, y = (_vector(name, key, values) for key, values in zip(NAMES, columns, strict=True))
-    if not len(time) == len(u) == len(y):
-        sizes = f"time {len(time)}, input {len(u)}, output {len(y)} samples"
-        raise BristleError(f"record {name}: columns of different length ({sizes}); cut them to the same samples")
-    if not len(time):
+    found = {key: _vector(name, key, values) for key, values in zip(COLUMN_NAMES, columns, strict=False) if values is not None}
+    if len({len(values) for values in found.values()}) > 1:
+        sizes = ", ".join(f"{key} {len(values)}" for key, values in found.items())
+        raise BristleError(f"record {name}: columns of different length ({sizes} samples); cut them to the same samples")
+    if not len(found["time"]):
         raise BristleError(f"record {name}: holds no sample; check the columns")
-    return time, u, y
+    return list(found.values())
 
 
 def _vector(name: str, key: str, values: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""What output and input show of sensor and drive: steps, spikes, wraps, a frozen reading, limits."""
+"""What output and input show of sensor and drive: resolution, spikes, wraps, a frozen reading, a limited input."""
 
 from __future__ import annotations
 
@@ -8,58 +8,65 @@ import numpy as np
 from scipy import fft, ndimage, stats
 
 from bristle.common.table import Array
-from bristle.diagnosis.modelfile import Model
+from bristle.records.layout import Layout
 from bristle.records.record import Raw, Record
 from bristle.records.resolution import common_step
 
-LIMITED_SHARE = 0.01  # a share of samples at an extreme value above this is a limit
-LIMITED_SAMPLES = 10  # samples, at least
-CREST_RATIO = 4.0  # and many times as long as on the values next to it
-SWITCHED_LEVELS = 20  # an input of fewer values is switched, not limited
-MOTIONLESS_STEPS = 3.001  # steps of the resolution: less is no motion
-FINE_STEP = 1e-5  # of the range, or of a turn: finer steps are those of a reading that is as good as continuous
-WHOLE_COUNTS = 0.05  # counts: a turn of a whole number of them, as far as a step can be found
-NOISE_P = 0.01  # that pure noise passes for motion, in each test: to take a motion for noise would be worse
-MEDIAN_SAMPLES, MEDIAN_DEVIATIONS = (
-    9,
-    8.0,
-)  # running medians of so many samples of pure noise lie within this many times its standard deviation
+LIMITED_SHARE = 0.01  # share of all samples at the largest or smallest input above which that value may be a limit
+LIMITED_SAMPLES = 10  # samples: least number of these
+CREST_RATIO = 4.0  # a limit is held by this many times as many samples as each of the three values next to it
+SWITCHED_LEVELS = 20  # values: an input of fewer distinct values is switched, not limited
+MOTIONLESS_STEPS = 3.001  # steps of the resolution: an output with a smaller range does not move
+PRINTED_DIGITS = 1e-7  # of the range: a finer step is that of the printed digits, not of the sensor
+FINE_STEP = 1e-5  # of the range, or of a turn: a finer step of the sensor needs no mention
+STEP_AGREEMENT = (0.8, 1.25)  # range of measured over declared resolution in which they agree
+WHOLE_COUNTS = 0.05  # counts: deviation from a whole number of counts a turn that is ignored
+NOISE_P = 0.01  # chance that pure noise passes for motion, in each test
+MEDIAN_SAMPLES = 9  # samples of the running median in which a motion that lasts leaves the noise
+MEDIAN_DEVIATIONS = 8.0  # standard deviations: largest range of that running median of pure noise
+SPIKE_NEIGHBOURS = 6  # differences between samples before and after a spike that it is compared with
 SPIKE_RATIO = 8.0  # a spike steps this many times farther than its neighbours
-COUNTER_BITS = (8, 32)  # of a counter that wraps
-FROZEN_DURATION = 0.2  # s: an output that stands still so long while the input sweeps most of its range is worth a line
+SPIKE_RETURN = 0.25  # of the step: largest difference between a spike's steps away and back
+SPIKE_STEPS = 6.0  # steps of the resolution: a smaller jump is no spike
+COUNTER_BITS = (8, 32)  # bits of a counter that wraps
+FROZEN_SAMPLES = 5  # samples: least number of equal readings in a row that are looked at
+FROZEN_DURATION = 0.2  # s: an output at rest for as long while the input covers most of its range is reported
+FROZEN_INPUT_SHARE = 0.8  # of the input's range: what it must cover meanwhile
 
 
-def resolution_of(model: Model, raw: Raw) -> float | None:
-    """Return the step of the output, and compare it with the model's."""
+def compare_resolution(layout: Layout, raw: Raw) -> float | None:
+    """Return the step in which the output was recorded, None if it shows none; report where the declared one differs."""
     found = common_step(raw.y)
-    if found is not None and found < 1e-7 * np.ptp(raw.y):
-        found = None  # printed digits, not steps of a sensor
-    if model.resolution is None:
+    if found is not None and found < PRINTED_DIGITS * np.ptp(raw.y):
+        found = None
+    if layout.resolution is None:
         return found
-    told = f"[output] resolution is {model.resolution:.4g} {model.output_unit}"
+    declared = f"[output] resolution is {layout.resolution:.4g} {layout.output_unit}"
     if found is None:
-        raw.say(f"{told}, but the output shows no such steps: was it filtered or interpolated?")
-    elif not 0.8 < found / model.resolution < 1.25:
-        raw.say(f"{told}, but the output comes in steps of {found:.4g} {model.output_unit}; correct the resolution or the unit")
+        raw.say(f"{declared}, but the output shows no such steps: was it filtered or interpolated?")
+    elif not STEP_AGREEMENT[0] < found / layout.resolution < STEP_AGREEMENT[1]:
+        raw.say(
+            f"{declared}, but the output comes in steps of {found:.4g} {layout.output_unit}; correct the resolution or the unit"
+        )
     return found
 
 
-def tell_steps(model: Model, records: list[Record]) -> list[Record]:
-    """Say once, with the first record, in what steps the output moves where the model does not know."""
+def report_steps(layout: Layout, records: list[Record]) -> list[Record]:
+    """Report once, with the first record, in what steps the output was recorded if the layout does not declare it."""
     step = max(record.resolution or 0.0 for record in records)
     span = max(float(np.ptp(record.y)) for record in records)
-    turns = model.output_kind == "position" and not model.linear
-    if model.resolution is not None or step <= FINE_STEP * (min(span, 2.0 * np.pi) if turns else span):
+    turns = layout.output_kind == "position" and not layout.linear
+    if layout.resolution is not None or step <= FINE_STEP * (min(span, 2.0 * np.pi) if turns else span):
         return records
     counts = 2.0 * np.pi / step
     whole = turns and abs(counts - round(counts)) < WHOLE_COUNTS
-    line = f"the output moves in steps of {step:.3g} {model.output_unit}" + (f" ({counts:.0f} a turn)" if whole else "")
+    line = f"the output moves in steps of {step:.3g} {layout.output_unit}" + (f" ({counts:.0f} a turn)" if whole else "")
     return [replace(records[0], findings=(*records[0].findings, line)), *records[1:]]
 
 
-def must_move(model: Model, raw: Raw, resolution: float | None) -> None:
+def must_move(layout: Layout, raw: Raw, resolution: float | None) -> None:
     """Refuse an output that stays within a few of its steps, or is nothing but noise."""
-    span, unit = float(np.ptp(raw.y)), model.output_unit
+    span, unit = float(np.ptp(raw.y)), layout.output_unit
     if span <= MOTIONLESS_STEPS * (resolution or 0.0) or span <= 1e-12 * float(np.max(np.abs(raw.y))):
         seen = f"the output stays within {span:.3g} {unit}" + (f", its resolution is {resolution:.3g} {unit}" if resolution else "")
     elif not _leaves_noise(raw.y) and _only_noise(raw.u, raw.y):
@@ -96,35 +103,36 @@ def _only_noise(u: Array, y: Array) -> bool:
     return bool(n * np.exp(-n * np.max(correlation**2) / 2) > NOISE_P)
 
 
-def mend_spikes(raw: Raw, resolution: float | None) -> None:
-    """Replace isolated samples that jump away and back; a servo cannot."""
+def repair_spikes(raw: Raw, resolution: float | None) -> None:
+    """Replace up to three samples that jump away and back, which no servo does, by interpolation."""
     d = np.diff(raw.y)
     size = np.abs(d)
-    floor = max(6.0 * (resolution or 0.0), 1e-9 * float(np.max(np.abs(raw.y), initial=0.0)))
-    mended: list[int] = []
+    near = SPIKE_NEIGHBOURS
+    floor = max(SPIKE_STEPS * (resolution or 0.0), 1e-9 * float(np.max(np.abs(raw.y), initial=0.0)))
+    spikes: list[int] = []
     y = raw.y.copy()
-    before = np.max(np.lib.stride_tricks.sliding_window_view(size, 6), axis=1)[:-1]  # of the six steps before step 6, 7, ...
-    for k in (6 + np.flatnonzero((size[6:] > floor) & (size[6:] > SPIKE_RATIO * before))).tolist():
+    before = np.max(np.lib.stride_tricks.sliding_window_view(size, near), axis=1)[:-1]  # of the steps before step 6, 7, ...
+    for k in (near + np.flatnonzero((size[near:] > floor) & (size[near:] > SPIKE_RATIO * before))).tolist():
         for width in (1, 2, 3):
             back = k + width
-            if back + 6 >= len(d) or (mended and mended[-1] > k - 6):
+            if back + near >= len(d) or (spikes and spikes[-1] > k - near):
                 continue
-            around = max(float(before[k - 6]), float(np.max(size[back + 1 : back + 7])))
+            around = max(float(before[k - near]), float(np.max(size[back + 1 : back + near + 1])))
             inside = float(np.max(size[k + 1 : back], initial=0.0))
-            returns = d[k] * d[back] < 0 and abs(d[k] + d[back]) < 0.25 * size[k]
-            if returns and size[back] > SPIKE_RATIO * around and inside < 0.25 * size[k]:
+            returns = d[k] * d[back] < 0 and abs(d[k] + d[back]) < SPIKE_RETURN * size[k]
+            if returns and size[back] > SPIKE_RATIO * around and inside < SPIKE_RETURN * size[k]:
                 y[k + 1 : back + 1] = np.interp(np.arange(k + 1, back + 1), [k, back + 1], raw.y[[k, back + 1]])
-                mended.append(k + 1)
+                spikes.append(k + 1)
                 break
-    if mended:
-        k = mended[0]
-        worst = max(float(size[i - 1]) for i in mended)
+    if spikes:
+        k = spikes[0]
+        worst = max(float(size[i - 1]) for i in spikes)
         where = f"first at sample {k}, {raw.time[k]:.6g} s; up to {worst:.3g}"
-        raw.say(f"output jumps away and back at {len(mended)} places ({where}); interpolated over")
+        raw.say(f"output jumps away and back at {len(spikes)} places ({where}); interpolated over")
         raw.y = y
 
 
-def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
+def unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     """Unwrap a position that jumps by one and the same amount and never leaves a range of that size."""
     d = np.diff(raw.y)
     span = float(np.ptp(raw.y))
@@ -137,25 +145,25 @@ def unwrap(model: Model, raw: Raw, resolution: float | None) -> bool:
     sizes = np.abs(d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)]))
     full = 2.0 * np.pi
     turn = float(np.median(sizes))
-    known = next((size for size in ((full, 360.0, 1.0) if not model.linear else ()) if abs(turn - size) < 0.02 * size), None)
+    known = next((size for size in ((full, 360.0, 1.0) if not layout.linear else ()) if abs(turn - size) < 0.02 * size), None)
     counter = None if known else _counter(turn, resolution)
     turn = known or counter or (resolution * round(turn / resolution) if resolution else turn)
     sure = known == full or counter is not None
     fits = span <= 1.02 * turn and np.max(np.abs(sizes - turn)) <= 0.1 * turn
     if len(jumps) < 2 and not (fits and sure):  # one of any size may be a slip
         where = f"after {raw.time[jumps[0]]:.6g} s"
-        raw.say(f"position jumps once by {turn:.4g} {model.output_unit} {where}: a lost reading or a wrap? cut the record there")
+        raw.say(f"position jumps once by {turn:.4g} {layout.output_unit} {where}: a lost reading or a wrap? cut the record there")
         return False
     if not fits:
         return False
     raw.y = raw.y + np.concatenate([[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))])
     first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
-    if model.linear or sure:
-        raw.say(f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped")
+    if layout.linear or sure:
+        raw.say(f"position wraps by {turn:.6g} {layout.output_unit} {first}; unwrapped")
     else:
         raw.say(
-            f"position wraps by {turn:.6g} {model.output_unit} {first}; unwrapped, but a turn has {full:.4g} rad: "
-            f"check [output] unit ('{model.output.unit}') and scale"
+            f"position wraps by {turn:.6g} {layout.output_unit} {first}; unwrapped, but a turn has {full:.4g} rad: "
+            f"check [output] unit ('{layout.output.unit}') and scale"
         )
     return True
 
@@ -177,7 +185,7 @@ def report_frozen(raw: Raw, resolution: float | None) -> None:
     d = np.abs(np.diff(raw.y))
     span = float(np.ptp(raw.u))
     caught, still = [], []
-    for start, end in runs[runs[:, 1] - runs[:, 0] >= 5].tolist():
+    for start, end in runs[runs[:, 1] - runs[:, 0] >= FROZEN_SAMPLES].tolist():
         if start >= 4 and end + 4 < len(d):
             speed = float(np.mean(d[start - 3 : start]))
             leap = float(d[end])
@@ -185,7 +193,7 @@ def report_frozen(raw: Raw, resolution: float | None) -> None:
             if speed > 3 * (resolution or 0.0) and leap > 0.5 * speed * (end - start) and leap > 2.5 * max(after, speed):
                 caught.append((start, end))
                 continue
-        if raw.time[end] - raw.time[start] >= FROZEN_DURATION and np.ptp(raw.u[start : end + 1]) > 0.8 * span > 0.0:
+        if raw.time[end] - raw.time[start] >= FROZEN_DURATION and np.ptp(raw.u[start : end + 1]) > FROZEN_INPUT_SHARE * span > 0.0:
             still.append((start, end))
     for runs_found, what in (
         (caught, "the output freezes in motion and then catches up: a lost reading; cut these parts"),

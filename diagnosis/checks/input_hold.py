@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, refit_with_noise, under_own_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate
 from bristle.diagnosis.estimation.optimiser import value_under_noise
+from bristle.records.input_hold import mixed
 from bristle.records.record import Record
 
 SLOW_SAMPLING = 2e-3  # s: drives set their input as often as that, and half a sample less hides below chance
@@ -88,11 +88,6 @@ def _climbed(dataset: Dataset, fitted: FittedModel, best: int) -> float:
     while (near := max((k for k in (best, best + 1, best - 1) if 0 <= k < len(INPUT_SHARES)), key=settled)) != best:
         best = near
     return INPUT_SHARES[best]
-
-
-def mixed(u: Array, share: float) -> Array:
-    """Return an input (n,) with a share of the next sample in each; the last one stays."""
-    return np.append((1 - share) * u[:-1] + share * u[1:], u[-1])
 
 
 def fed(records: Sequence[Record], found: NotHeldError) -> list[Record]:

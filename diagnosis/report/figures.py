@@ -27,9 +27,9 @@ from bristle.common.drawing import (
     svg,
     thin,
 )
-from bristle.diagnosis.modelfile import INPUT_UNITS
 from bristle.diagnosis.report.result import Candidate, Diagnosis, Round, Trace, View
 from bristle.diagnosis.report.text import AXES, view_name
+from bristle.records.layout import INPUT_UNITS
 
 Array = NDArray[np.float64]
 BEFORE, AFTER = ORANGE, BLUE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, Record, diagnose, load_model, load_records, records_from_arrays
-from bristle.records.intake import must_show
+from bristle.diagnosis.checks.records import must_show
 
 H = 1e-3
 N = 6000

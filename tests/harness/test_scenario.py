@@ -61,7 +61,8 @@ MISTAKES = [
     ("stimulus value", "[[checks]]", '[[stimuli]]\nvariable = "load_scale"\npoints = [["0 s", -1.0]]\n[[checks]]',
      ["stimuli[0].points[0]", "outside [0"]),
     ("record and plant", "[observer]", '[record]\nfile = "x.csv"\ntime = {column = "t", unit = "s"}\n'
-     'u = {column = "u", unit = "V"}\nv = {column = "v", unit = "rad/s"}\n[observer]', ["either [plant] or [record]"]),
+     'input = {column = "u", kind = "voltage", unit = "V"}\n'
+     'output = {column = "v", kind = "velocity", unit = "rad/s"}\n[observer]', ["either [plant] or [record]"]),
     ("seed zero", "[observer]", "[validation]\nseed = 0\n[observer]", ["validation.seed", "0", "at least 1"]),
     ("other name", 'duration = "2 s"', 'duration = "2 s"\nname = "other"', ["name", "other", "'case'"]),
     ("foreign FMU missing", 'law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', 'fmu = "nowhere.fmu"',

@@ -1,0 +1,71 @@
+"""What a record must have to be diagnosed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from bristle.diagnosis.modelfile import Model, must_be_model
+from bristle.records import intake
+from bristle.records.intake import Requirements
+from bristle.records.record import Record
+
+LEAST_SAMPLES = 200  # samples, of a record or of a piece of one: five segments of 0.4 s at 100 Hz
+LEAST_DURATION = 2.0  # s, of a record or of a piece of one
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 0.1  # s: range of the sampling period; outside, the unit of the time is wrong
+NEEDS = Requirements(LEAST_SAMPLES, LEAST_DURATION, SHORTEST_PERIOD, LONGEST_PERIOD, identification=True)
+
+
+def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list[Record]:
+    """Read measured files as `bristle.records.load_records` does, with what a diagnosis needs.
+
+    Parameters
+    ----------
+    model : Model
+        Names the columns and their units.
+    paths : path or sequence of path
+        CSV, MAT, NPZ or Parquet files, each once.
+
+    Returns
+    -------
+    list of Record
+        At least one for each file, all with the same sampling period.
+
+    Raises
+    ------
+    BristleError
+        One line: what, where, what is allowed, what to do.
+    """
+    must_be_model(model)
+    return intake.load_records(model, paths, NEEDS)
+
+
+def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
+    """Check records in memory as `bristle.records.records_from_arrays` does, with what a diagnosis needs.
+
+    Parameters
+    ----------
+    model : Model
+        What the arrays are; its column names and units are not used.
+    arrays : iterable of (name, time, u, y)
+        Arrays of shape (n,) in SI: seconds, the model's `input_unit` and `output_unit`.
+
+    Returns
+    -------
+    list of Record
+        At least one for each entry, all with the same sampling period.
+
+    Raises
+    ------
+    BristleError
+        One line: what, where, what is allowed, what to do.
+    """
+    must_be_model(model)
+    return intake.records_from_arrays(model, arrays, NEEDS)
+
+
+def must_show(model: Model, records: Sequence[Record]) -> None:
+    """Raise `BristleError` where records, made by hand maybe, are too short, impossible or without motion."""
+    intake.must_show(model, records, NEEDS)

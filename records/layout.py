@@ -1,0 +1,202 @@
+"""The columns of a measured file: names, units, scale, kind and resolution, written alike in model files and in scenarios."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from bristle.common.errors import BristleError
+from bristle.common.table import factor_to
+from bristle.common.toml import Section, mistake, quoted
+from bristle.common.units import quantity
+
+INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}  # SI unit of each kind of input
+
+
+# -- what a file may hold ----------------------------------------------------------------------------------------------
+class ColumnTable(Section):
+    """A column with its unit; `scale` (such as "0.088 deg") is what one of that unit is worth, where it is no plain unit."""
+
+    column: str
+    unit: str
+    scale: str | None = None
+
+
+class InputTable(ColumnTable):
+    """The column of the input."""
+
+    kind: Literal["torque", "force", "voltage", "current"]
+
+
+class OutputTable(ColumnTable):
+    """The column of the output; `resolution` is in the column's unit, or text with a unit."""
+
+    kind: Literal["position", "velocity"]
+    resolution: str | float | None = None
+
+
+class LayoutTable(Section):
+    """The three tables [time], [input] and [output]."""
+
+    time: ColumnTable
+    input: InputTable
+    output: OutputTable
+
+
+# -- the layout --------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Column:
+    """A column of a record: its name, its unit, and the scale over that unit, where there is one."""
+
+    column: str
+    unit: str
+    scale: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """The columns of a record and what they are.
+
+    Attributes
+    ----------
+    time, input, output : Column
+        Where the record holds them.
+    input_kind : {"torque", "force", "voltage", "current"}
+        What the input is.
+    output_kind : {"position", "velocity"}
+        What the output is.
+    resolution : float or None
+        Smallest step of the output [rad, rad/s, m or m/s], if it is known.
+    linear : bool
+        A linear axis: kg, m and N in place of kg.m2, rad and N.m.
+    velocity : Column or None
+        A velocity that was recorded besides the position.
+    """
+
+    time: Column
+    input: Column
+    input_kind: str
+    output: Column
+    output_kind: str
+    resolution: float | None = None
+    linear: bool = False
+    velocity: Column | None = None
+
+    @property
+    def input_unit(self) -> str:
+        """SI unit of the input."""
+        return INPUT_UNITS[self.input_kind]
+
+    @property
+    def output_unit(self) -> str:
+        """SI unit of the output."""
+        return _output_unit(self.output_kind, self.linear)
+
+    @property
+    def columns(self) -> dict[str, tuple[Column, str]]:
+        """Column and SI unit of time, input, output and, where it was recorded besides the output, velocity."""
+        found = {"time": (self.time, "s"), "input": (self.input, self.input_unit), "output": (self.output, self.output_unit)}
+        return found if self.velocity is None else {**found, "velocity": (self.velocity, _output_unit("velocity", self.linear))}
+
+
+def _output_unit(kind: str, linear: bool) -> str:
+    return ("m" if linear else "rad") + ("/s" if kind == "velocity" else "")
+
+
+def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity: ColumnTable | None = None) -> Layout:
+    """Return the layout that the tables of a file describe.
+
+    Parameters
+    ----------
+    table : LayoutTable
+        The tables [time], [input] and [output].
+    where : Path or str
+        The file, with which the line of an error begins.
+    prefix : str
+        What precedes the names of the tables in the file ("record.").
+    velocity : ColumnTable, optional
+        The table of a velocity that was recorded besides the position.
+
+    Raises
+    ------
+    BristleError
+        One line that names file, key, value, what is allowed and what to do.
+    """
+    linear = _is_linear(table, where, prefix)
+    layout = Layout(
+        time=_column(table.time), input=_column(table.input), input_kind=table.input.kind,
+        output=_column(table.output), output_kind=table.output.kind, linear=linear,
+        resolution=_resolution(table.output, where, prefix, linear), velocity=velocity and _column(velocity),
+    )  # fmt: skip
+    if velocity is not None and table.output.kind == "velocity":
+        raise mistake(where, f"{prefix}output.kind", "velocity", f"[{prefix}velocity] is given as well; remove one of them")
+    roles: dict[str, str] = {}
+    for key, (column, unit) in layout.columns.items():
+        try:
+            factor_to(column.unit, column.scale, unit)
+        except BristleError as error:
+            raise mistake(where, f"{prefix}{key}.unit", column.unit, str(error)) from None
+        if column.column in roles:
+            message = f"is the column of [{prefix}{roles[column.column]}] already; name the one that holds the {key}"
+            raise mistake(where, f"{prefix}{key}.column", column.column, message)
+        roles[column.column] = key
+    return layout
+
+
+def _column(table: ColumnTable) -> Column:
+    return Column(table.column, table.unit, table.scale)
+
+
+def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:
+    """Return whether the output is that of a linear axis, which a torque cannot drive and a force must."""
+    out, fits, why = table.output, [], ""
+    for linear in (False, True):
+        try:
+            factor_to(out.unit, out.scale, _output_unit(out.kind, linear))
+            fits.append(linear)
+        except BristleError as error:
+            why = why or str(error)
+    if not fits:
+        speed = "/s" if out.kind == "velocity" else ""
+        hint = why if "does not fit" not in why else f"does not fit kind '{out.kind}'; write rad{speed}, deg{speed}, m{speed} or " \
+            f"mm{speed}, or add scale = \"... rad{speed}\" over that unit"  # fmt: skip
+        raise mistake(where, f"{prefix}output.unit", out.unit, hint)
+    linear = fits[0]
+    if table.input.kind == ("torque" if linear else "force"):
+        moved = "moves in metres" if linear else "turns"
+        needed = "force" if linear else "torque"
+        message = f'the output {moved}; write "{needed}", or correct {prefix}output.unit'
+        raise mistake(where, f"{prefix}input.kind", table.input.kind, message)
+    return linear
+
+
+def _resolution(out: OutputTable, where: Path | str, prefix: str, linear: bool) -> float | None:
+    """Return the resolution of the output in SI."""
+    if out.resolution is None:
+        return None
+    want, key = _output_unit(out.kind, linear), f"{prefix}output.resolution"
+    try:
+        text = isinstance(out.resolution, str)
+        value = quantity(out.resolution, want) if text else float(out.resolution) * abs(factor_to(out.unit, out.scale, want))
+    except BristleError as error:
+        raise mistake(where, key, out.resolution, str(error)) from None
+    if not 0.0 < value < float("inf"):
+        raise mistake(where, key, out.resolution, "must be above 0; leave it out if it is not known")
+    return value
+
+
+# -- and back ----------------------------------------------------------------------------------------------------------
+def layout_lines(layout: Layout) -> list[str]:
+    """Return the lines of a TOML file that read back as this layout."""
+    lines = ["[time]", *_column_lines(layout.time)]
+    lines += ["", "[input]", *_column_lines(layout.input), f"kind = {quoted(layout.input_kind)}"]
+    lines += ["", "[output]", *_column_lines(layout.output), f"kind = {quoted(layout.output_kind)}"]
+    if layout.resolution is not None:
+        lines.append(f'resolution = "{float(layout.resolution)!r} {layout.output_unit}"')
+    return lines if layout.velocity is None else [*lines, "", "[velocity]", *_column_lines(layout.velocity)]
+
+
+def _column_lines(column: Column) -> list[str]:
+    lines = [f"column = {quoted(column.column)}", f"unit = {quoted(column.unit)}"]
+    return lines if column.scale is None else [*lines, f"scale = {quoted(column.scale)}"]
