@@ -358,8 +358,10 @@ def main() -> None:
     raise SystemExit(code if isinstance(code, int) else PASS)
 
 
-def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
-    """Say in one line what will change for the user; other warnings also say where they come from."""
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: object = None, line: str | None = None
+) -> None:
+    """Print in one line what is deprecated; of other warnings also where they come from."""
     _say(f"bristle: {message}" if issubclass(category, FutureWarning) else f"{filename}:{lineno}: {category.__name__}: {message}")
 
 

@@ -92,7 +92,7 @@ class Raw:
     u: Array
     y: Array
     velocity: Array | None = None
-    lines: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list, kw_only=True)
 
     @property
     def columns(self) -> list[Array]:
