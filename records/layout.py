@@ -127,7 +127,7 @@ def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity:
     layout = Layout(
         time=_column(table.time), input=_column(table.input), input_kind=table.input.kind,
         output=_column(table.output), output_kind=table.output.kind, linear=linear,
-        resolution=_resolution(table.output, where, prefix, linear), 
+        resolution=_resolution(table.output, where, prefix, linear),
         velocity=None if velocity is None else _column(velocity),
     )  # fmt: skip
     if velocity is not None and table.output.kind == "velocity":
