@@ -6,37 +6,30 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from bristle.diagnosis.checks.excitation import VELOCITY_CAVEAT, excitation
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, disturbance_ratio, has_outliers_or_disturbance
-from bristle.diagnosis.estimation.likelihood import Fit, errors, evaluate, mean_square, squares
+from bristle.diagnosis.estimation.likelihood import Fit, errors, mean_square, squares
 from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
 from bristle.diagnosis.estimation.uncertainty import estimates
-from bristle.diagnosis.localisation.maps import residual_map, wave_map
-from bristle.diagnosis.localisation.residual_localisation import LEAST_VIEW_P, views_of
-from bristle.diagnosis.localisation.residual_response import response_of
-from bristle.diagnosis.localisation.unexplained import unexplained
-from bristle.diagnosis.localisation.views import Share
+from bristle.diagnosis.localisation.residual_localisation import localise
+from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, unexplained
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.report import text as story
+from bristle.diagnosis.report.text import Facts, experiment, statement, undetected
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
+from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.effect_size import fall
 from bristle.plant.effects import effect as find_effect
 from bristle.records.record import Record
 
-MAPPED_VIEWS = 6  # views whose residual is drawn
-KNOWN_HALF_WIDTH = (
-    0.3  # half an interval relative to the value, which of one parameter at least must be less (of 556 records in which
-)
-# nothing was named it was 0.11 or less, uniform motion included; where the output is noise 0.45 and more)
-UNEXPLAINED_SHARE = 0.5  # of what is left: a view that shows more says that this is no noise, flagged or not
-VIEW_P = 0.05  # p up to which a view is listed ahead of the others
+KNOWN_HALF_WIDTH = 0.3  # half an interval over the value, which of one parameter at least must be less
+UNEXPLAINED_SHARE = 0.5  # share of the residual in a view from which the residual is no noise, whether reported or not
+MOST_TIED, MOST_TIED_UNIFORM = 3, 2  # classes in a tie at most, and in records of uniform motion
 
 
 def conclude(
@@ -50,14 +43,17 @@ def conclude(
 ) -> answer.Diagnosis:
     """Return the answer, parameters and intervals refitted to all segments; `begun` is when the work began [s]."""
     whole, plain = _whole(dataset, final), estimates(model, _whole(dataset, base))
-    where, after = views_before_and_after(dataset, base, final)
+    where, after = localise(dataset, base, final)
     last = rounds[-1]
     ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
     named = final.servo.effects[len(model.effects) :]
     gap = gap_between(model, dataset, base, final)
     left = unexplained(
-        after, final.fit.values, named, gap, dataset.turn, fall_between(dataset, base, final),
-        has_outliers_or_disturbance(dataset, final.fit), disturbance_ratio(dataset, final.fit),
+        after,
+        FinalModel(
+            named, final.fit.values, dataset.turn, gap.left, fall_between(dataset, base, final),
+            has_outliers_or_disturbance(dataset, final.fit), disturbance_ratio(dataset, final.fit),
+        ),
     )  # fmt: skip
     gap = known_floor(gap, left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE))
     undecided = undecided_names(last)
@@ -79,14 +75,14 @@ def conclude(
     adrift = dataset.segments.velocity and len(records) > 1
     placed = any(find_effect(name).position_dependent for name in (*named, *undecided))
     beginnings = [VELOCITY_CAVEAT] if adrift and (placed or left.flag) else []
-    missed = story.undetected(last.candidates, last.null, last.base, told, model, added, adrift)
-    said = partial(story.on_axis, linear=dataset.linear, input_kind=model.input_kind)
+    missed = undetected(detection_limits(last.candidates, last.null, last.base), model, told, added, adrift)
+    facts = Facts(verdict, gap, left, effects, ties, intervals, mute, dataset.poor_excitation, model.wording)
     return answer.Diagnosis(
         verdict=verdict,
-        statement=tuple(map(said, story.statement(verdict, effects, ties, gap, left, intervals, mute))),
+        statement=statement(facts),
         effects=effects,
         ties=tuple(ties),
-        experiment=said(story.experiment(ties, left, dataset.poor_excitation, bool(named))),
+        experiment=experiment(facts),
         where=where,
         remains=left,
         gap=gap,
@@ -95,7 +91,7 @@ def conclude(
         base=plain,
         parameters=own,
         rounds=tuple(_round(v) for v in rounds),
-        undetected={k: said(v) for k, v in missed.items()},
+        undetected=missed,
         traces=_traces(dataset, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,
@@ -146,7 +142,7 @@ def choices_of(rounds: Sequence[SearchRound], undecided: Sequence[str], named: S
     return [c for c in v.candidates if c.name in v.ties]
 
 
-def unnamed(last: SearchRound, narrow: str, left: answer.Remains, mute: Sequence[str] = ()) -> str:
+def unnamed(last: SearchRound, narrow: str, left: Unexplained, mute: Sequence[str] = ()) -> str:
     """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses.
 
     `mute` are the model's parameters if the records tell none of them.
@@ -154,7 +150,7 @@ def unnamed(last: SearchRound, narrow: str, left: answer.Remains, mute: Sequence
     classes = {group(name) for name in undecided_names(last)}
     if not classes:
         return "not_identifiable" if mute or (narrow and (left.flag or last.best)) else "none"
-    many = story.MOST_TIED_UNIFORM if narrow else story.MOST_TIED
+    many = MOST_TIED_UNIFORM if narrow else MOST_TIED
     return "tie" if len(classes) <= many and not last.withdrawn else "not_identifiable"
 
 
@@ -179,41 +175,6 @@ def _whole(dataset: Dataset, fitted: FittedModel) -> Fit:
     """Return the servo fitted to all segments, those kept from the search included."""
     problem = fitted.problem.only(dataset.segments.counted)
     return refit_nonsmooth(resume(problem, fitted.fit), lambda fit: problem, fitted.servo.effects)
-
-
-def views_before_and_after(dataset: Dataset, base: FittedModel, final: FittedModel) -> tuple[tuple[answer.View, ...], list[Share]]:
-    """Return the views before and after, both as the final noise sees them, with maps; and the shares after."""
-    plain = evaluate(final.problem, base.fit)
-    models = (FittedModel(base.servo, final.problem, plain), final)
-    found, torques = [], []
-    for fitted in models:
-        seen, torque = views_of(fitted, dataset)
-        found.append([_along_axis(dataset, share) for share in seen])
-        torques.append(torque)
-    before, after = found
-    responses = response_of(base, dataset), response_of(final, dataset)  # each as its own noise sees it
-    before = sorted(before, key=lambda share: share.p > VIEW_P)  # what chance gives comes last, whatever its share
-    table = {share.view: share for share in after}
-    views: list[answer.View] = []
-    maps = 0
-    for share in before:
-        late = table[share.view]
-        drawn = {}
-        if maps < MAPPED_VIEWS:
-            drawn = wave_map(share.view, dataset.motion, *responses, share.period(dataset.turn))
-            drawn = drawn or residual_map(share.view, dataset.motion, torques[0], torques[1])
-        maps += bool(drawn)
-        views.append(
-            answer.View(
-                share.view, share.share, max(share.p, LEAST_VIEW_P), late.share, max(late.p, LEAST_VIEW_P), share.label, **drawn
-            )
-        )
-    return tuple(views), after
-
-
-def _along_axis(dataset: Dataset, share: Share) -> Share:
-    """Return a share with its label as it is on a linear axis, where the range that was travelled stands for the turn."""
-    return replace(share, label=share.label.replace("in a turn", "in the range travelled")) if dataset.linear else share
 
 
 def gap_between(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> answer.Gap:

@@ -22,6 +22,7 @@ from bristle.plant.friction import law as find_law
 from bristle.plant.friction import laws
 from bristle.plant.law import FrictionLaw
 from bristle.plant.servo import A2, B, J, servo
+from bristle.plant.wording import Wording
 from bristle.records.layout import INPUT_UNITS, Layout, LayoutTable, layout_lines, layout_of
 from bristle.records.record import must_be_path
 
@@ -66,6 +67,11 @@ class Model(Layout):
     bounds: dict[str, tuple[float, float]]
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
     path: Path | None = None
+
+    @property
+    def wording(self) -> Wording:
+        """Words for its axis and its input."""
+        return Wording(self.linear, self.input_kind)
 
     @property
     def values(self) -> dict[str, float]:

@@ -15,10 +15,11 @@ from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import NotHeldError, fed
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
-from bristle.diagnosis.conclusion import conclude, fall_between, gap_between, views_before_and_after
+from bristle.diagnosis.conclusion import conclude, fall_between, gap_between
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
-from bristle.diagnosis.localisation.unexplained import unexplained
+from bristle.diagnosis.localisation.residual_localisation import localise
+from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, unexplained
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
 from bristle.diagnosis.report import result as answer
@@ -111,7 +112,7 @@ def mend_first(
     end = "" if proposed.endswith("?") else "."
     return answer.Diagnosis(
         verdict="not_identifiable", statement=(f"{why}{proposed}{end}",), effects=(), ties=(), experiment="",
-        where=(), remains=answer.Remains(False, None, 0.0), gap=answer.Gap(gap, gap, None, model.output_unit),
+        where=(), remains=Unexplained(False, None, 0.0), gap=answer.Gap(gap, gap, None, model.output_unit),
         excitation=excitation(model, records), findings=(*lines, *(f for r in records for f in r.findings), *said.findings),
         base={}, parameters={}, rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=seconds,
     )  # fmt: skip
@@ -128,7 +129,7 @@ def examine(
         return replace(
             found, verdict="not_identifiable", statement=(f"{MAKES_UP} Proposed: {line}.",),
             ties=(), experiment="", choices={}, choice_parameters={}, proposals=(line,), undetected={},
-            remains=answer.Remains(False, None, 0.0),  # nothing is left with the wider bounds until they are tried
+            remains=Unexplained(False, None, 0.0),  # nothing is left with the wider bounds until they are tried
         )  # fmt: skip
     tell("what remains", 0.85)
     if dataset.poor_excitation and final is not base and _in_part(model, dataset, base, final):
@@ -139,9 +140,9 @@ def examine(
 
 def _in_part(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> bool:
     """True if something remains beside what was found."""
-    _, after = views_before_and_after(dataset, base, final)
+    _, after = localise(dataset, base, final)
     gap = gap_between(model, dataset, base, final)
-    return unexplained(after, final.fit.values, (), gap, dataset.turn, fall_between(dataset, base, final)).flag
+    return unexplained(after, FinalModel((), final.fit.values, dataset.turn, gap.left, fall_between(dataset, base, final))).flag
 
 
 def better_unbound(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> str | None:

@@ -24,6 +24,7 @@ from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluat
 from bristle.diagnosis.estimation.noise import Noise, white_noise
 from bristle.diagnosis.estimation.optimiser import refit
 from bristle.diagnosis.estimation.simulator import Servo
+from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
@@ -338,7 +339,7 @@ def _refused(
     )
     return answer.Diagnosis(
         verdict="not_identifiable", statement=(why,), effects=(), ties=(), experiment="", where=(),
-        remains=answer.Remains(False, None, 0.0), gap=answer.Gap(left, left, None, like.output_unit),
+        remains=Unexplained(False, None, 0.0), gap=answer.Gap(left, left, None, like.output_unit),
         excitation=excitation(like, records), findings=(*lines, *(f for r in records for f in r.findings)), base={},
         parameters={}, rounds=(), undetected={}, traces=(), model=like, seconds=seconds,
     )  # fmt: skip

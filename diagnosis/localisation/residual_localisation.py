@@ -14,25 +14,27 @@ from scipy.stats import f as f_ratio
 
 from bristle.diagnosis.estimation.dataset import Dataset, Motion
 from bristle.diagnosis.estimation.fitted_model import FittedModel
-from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM
+from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, evaluate
+from bristle.diagnosis.localisation.maps import residual_map, wave_map
 from bristle.diagnosis.localisation.residual_response import ResidualResponse, chance, response_of
-from bristle.diagnosis.localisation.views import Share, _waves, bases, clocks
+from bristle.diagnosis.localisation.views import Share, View, bases, clocks, harmonics
+from bristle.plant.wording import ROTARY, Wording
 
 Array = NDArray[np.float64]
 
-FOLDS = 5
-SIGN_DRAWS, ENOUGH_DRAWS = (
-    999,
-    20,
-)  # random signs of segments, for the significance; draws as high after which a line is an ordinary one
-LEAST_VIEW_P = 1 / (1 + SIGN_DRAWS)  # no smaller p is told
-VIEW_RIDGE = 1e-3  # of a view's own power
-TONE_BAND = (0.2, 45.0)  # Hz
-SPECTRUM_PADDING = 4  # times the length: so fine is the grid of their frequencies
-MOST_PERIODS = 60  # in a turn
-SENSOR_VIEWS = ("du",)  # views that hold the sensor's own noise in a closed loop, which a residual follows whatever is missing
-OUTLIER_MISFIT = 5.0  # times the usual squared error, whitened
-OUTLIERS = "some stretches"
+FOLDS = 5  # of the cross-validation over segments
+SIGN_DRAWS = 999  # draws of random signs of the segments for a p
+SUFFICIENT_DRAWS = 20  # draws as high as the observed line after which a spectral line counts as an ordinary one
+LEAST_VIEW_P = 1 / (1 + SIGN_DRAWS)  # smallest p that is reported
+LISTED_VIEW_P = 0.05  # p up to which a view is listed ahead of the others
+VIEW_RIDGE = 1e-3  # ridge of a view's regression, relative to its mean power
+TONE_BAND = (0.2, 45.0)  # frequencies [Hz] at which an oscillation in time is searched
+SPECTRUM_PADDING = 4  # length of a zero-padded spectrum over that of the record
+MOST_PERIODS = 60  # periods in a turn up to which a wave along the position is searched
+MAPPED_VIEWS = 6  # views whose residual is drawn
+SENSOR_VIEWS = ("du",)  # views that contain the sensor's own noise in a closed loop, which a residual follows in any case
+OUTLIER_MISFIT = 5.0  # mean whitened squared error of a segment from which it is an outlier
+OUTLIERS = "some stretches"  # name of their view, in diagnosis.json too
 
 
 def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array, Callable[[Array], Array]]:
@@ -58,14 +60,14 @@ def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array,
     return np.asarray(frequency[inside]), amplitudes
 
 
-def _searched(response: ResidualResponse, m: Motion, rough: Array) -> dict[str, tuple[Array, dict[str, Any]]]:
+def _searched(response: ResidualResponse, m: Motion, rough: Array, wording: Wording) -> dict[str, tuple[Array, dict[str, Any]]]:
     """Return waves whose frequency is chosen by the residual: in time and along the position, and what a `Share` says of them."""
     middle = _middle(response, rough)
     r, theta = rough.ravel(), m.theta[middle]
     clock = clocks(m)
     frequency, amplitudes = spectrum(m.time[middle].reshape(rough.shape), clock[middle].reshape(rough.shape)[:, 0], rough)
     tone = float(frequency[int(np.argmax(amplitudes(np.ones(len(rough)))))])
-    own = [(clock == k)[:, None] * _waves(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)]
+    own = [(clock == k)[:, None] * harmonics(2 * np.pi * tone * m.time, 1) for k in np.unique(clock)]
     found: dict[str, tuple[Array, dict[str, Any]]] = {
         "tone": (np.column_stack(own), {"label": f"{tone:.3g} Hz", "frequency": tone})
     }
@@ -77,8 +79,8 @@ def _searched(response: ResidualResponse, m: Motion, rough: Array) -> dict[str, 
     ):  # fmt: skip
         power = np.sum([np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors], axis=0)
         periods = float(turns[int(np.argmax(power))])
-        waves = [f[:, None] * _waves(periods * m.theta, 1) for f in factors]
-        found[view] = np.column_stack(waves), {"label": f"{periods:.3g} in a turn", "periods": periods}
+        waves = [f[:, None] * harmonics(periods * m.theta, 1) for f in factors]
+        found[view] = np.column_stack(waves), {"label": f"{periods:.3g} in {wording.range}", "periods": periods}
     return found
 
 
@@ -88,7 +90,7 @@ def _middle(response: ResidualResponse, rough: Array) -> NDArray[np.int_]:
     return np.arange(rough.size * skip).reshape(-1, skip)[:, skip // 2]
 
 
-def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: Array) -> list[Share]:
+def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: Array, wording: Wording = ROTARY) -> list[Share]:
     """Return the views with their shares, the strongest first; stretches that stand out come last.
 
     A view's function is fitted on four fifths of the segments, and its p is how often the strongest of all views
@@ -101,7 +103,7 @@ def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: 
     rng = np.random.default_rng(2)
     signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(SIGN_DRAWS, len(live)))])
     told, tables = {}, bases(m, h, step)
-    for view, (waves, facts) in _searched(response, m, rough).items():
+    for view, (waves, facts) in _searched(response, m, rough, wording).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
         told[view] = facts
     found = {view: _predicted(response, basis, live, signs) for view, basis in tables.items()}
@@ -129,7 +131,7 @@ def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> 
     seen, higher = amplitudes(signs[0]).max(), 0
     for drawn, each in enumerate(signs[1:], 1):
         higher += bool(amplitudes(each).max() >= seen)
-        if higher == ENOUGH_DRAWS:
+        if higher == SUFFICIENT_DRAWS:
             return higher / drawn
     return (1 + higher) / len(signs)
 
@@ -146,7 +148,7 @@ def _outlier_share(response: ResidualResponse, m: Motion, live: NDArray[np.int_]
         binom.sf(np.count_nonzero(far) - 1, len(live), f_ratio.sf(OUTLIER_MISFIT, response.rest.shape[1] - 2, T_DEGREES_OF_FREEDOM))
     )
     worst = m.time.reshape(response.shape)[live[int(np.argmax(misfit))], 0]
-    label = f"{np.count_nonzero(far)} of {len(live)} stretches, the worst at {worst:.3g} s"
+    label = f"{np.count_nonzero(far)} of {len(live)} segments, the worst at {worst:.3g} s"
     return Share(OUTLIERS, float(power[far].sum() / power.sum()), p, label)
 
 
@@ -177,11 +179,38 @@ def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_],
     return gain, float(outer @ gram @ outer - np.sum(chance * gram))
 
 
-def views_of(fitted: FittedModel, dataset: Dataset) -> tuple[list[Share], Array]:
-    """Return what each view predicts of a fitted servo's residual, and the torque behind it (samples,) [N.m]."""
+def _localised(fitted: FittedModel, dataset: Dataset) -> tuple[list[Share], Array, ResidualResponse]:
+    """Return what each view predicts of a residual, the torque behind it (samples,) [N.m], and the response it comes from."""
     response = response_of(fitted, dataset)
     torque = response.torque() * (fitted.fit.weight > 0)[:, None]
     rough = torque.reshape(len(torque), dataset.segments.bins, -1).mean(axis=2)
-    factor = 2 * math.pi / dataset.turn  # what repeats, repeats along what a motion begins anew after
+    factor = 2 * math.pi / dataset.turn  # periods are counted along the path after which a motion begins anew
     around = replace(dataset.motion, theta=factor * dataset.motion.theta)
-    return shares(response, around, dataset.segments.h, factor * dataset.resolution, rough), torque.ravel()
+    wording = Wording(dataset.linear)
+    return shares(response, around, dataset.segments.h, factor * dataset.resolution, rough, wording), torque.ravel(), response
+
+
+def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:
+    """Return what each view predicts of a fitted servo's residual."""
+    return _localised(fitted, dataset)[0]
+
+
+def localise(dataset: Dataset, base: FittedModel, final: FittedModel) -> tuple[tuple[View, ...], list[Share]]:
+    """Return the views before and after, both under the final model's noise, with maps; and the shares after."""
+    refitted = evaluate(final.problem, base.fit)
+    before, old, _ = _localised(FittedModel(base.servo, final.problem, refitted), dataset)
+    after, new, response = _localised(final, dataset)
+    before = sorted(before, key=lambda share: share.p > LISTED_VIEW_P)  # what chance gives comes last, whatever its share
+    responses = response_of(base, dataset), response  # each under its own noise
+    later = {share.view: share for share in after}
+    views: list[View] = []
+    maps = 0
+    for share in before:
+        late, drawn = later[share.view], {}
+        if maps < MAPPED_VIEWS:
+            drawn = wave_map(share.view, dataset.motion, *responses, share.period(dataset.turn))
+            drawn = drawn or residual_map(share.view, dataset.motion, old, new)
+        maps += bool(drawn)
+        ps = max(share.p, LEAST_VIEW_P), max(late.p, LEAST_VIEW_P)
+        views.append(View(share.view, share.share, ps[0], late.share, ps[1], share.label, **drawn))
+    return tuple(views), after

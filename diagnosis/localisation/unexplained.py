@@ -1,67 +1,111 @@
-"""Whether something is left that none of the effects explains."""
+"""Whether a part of the residual is unexplained: predictable from the motion, and not the form of an effect that was named."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from bristle.diagnosis.estimation.fitted_model import LARGE_DISTURBANCE
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS, SENSOR_VIEWS
 from bristle.diagnosis.localisation.views import Share, is_form, is_same, periods_of
-from bristle.diagnosis.report import result as answer
 from bristle.plant.effects import effect as find_effect
 
-LEAST_SHARE = 0.15  # share of the squared error that a view must explain before something is said to remain
-CERTAIN_P = 0.03  # p over all views, from which on a share is believed
-GAP_SHARE, WAVE_SHARE = 0.1, 0.05  # and of the error before, once an effect is named; a wave that repeats as the named one does
-TONE_SHARE = (
-    0.3  # of what is left, however small beside the gap: no effect's form swings in time (of 709 right names none had more)
-)
-LEAST_DRAWN_P, FAINT_SHARE = (
-    0.001,
-    0.05,
-)  # p that no draw reaches: where nothing is named, such a share is enough then (1 more control of 240
-# is flagged, 7 more of 240 records with an effect of no catalogue)
-OUTLIER_SHARE = 0.08  # share that is enough where nothing is named and some stretch is far off
-VIEW_ALONE_P = 0.05  # p of a view by itself, where the named wave should have taken up what is there
+CERTAIN_P = 0.03  # p over all views up to which a share is taken for real
+VIEW_ALONE_P = 0.05  # p of a view by itself up to which its wave is taken for real, where a named effect has the same period
+MIN_SHARE = 0.15  # share of the residual's power that a view must predict to be reported
+OUTLIER_RECORD_SHARE = 0.08  # the same where nothing is named and the model misses some segment by far
+SMALLEST_P, SMALLEST_P_SHARE = 0.001, 0.05  # p that no draw reaches, and the share that is enough then, where nothing is named
+MIN_SHARE_OF_GAP = 0.1  # share of the error before, once an effect is named
+SAME_WAVE_SHARE_OF_GAP = 0.05  # the same for a wave with the period of the named effect
+TONE_SHARE = 0.3  # share of the residual of an oscillation in time, however small beside the error before
 
 
-def unexplained(
-    after: Sequence[Share],
-    values: Mapping[str, float],
-    named: Sequence[str],
-    gap: answer.Gap,
-    turn: float,
-    fell: float,
-    odd: bool = False,
-    disturbance: float = 0.0,
-) -> answer.Remains:
-    """Say whether something is left that is neither small nor only the form of what was named.
+@dataclass(frozen=True)
+class Unexplained:
+    """Whether a part of the residual is unexplained, the view it shows in (None: in none), and its share of the residual.
 
-    `fell` is the factor by which the error fell on segments kept from the search, none of them counting for much;
-    with `odd` the model misses some stretch by far; `disturbance` is the torque that it takes for one, over that of the
-    input: where nothing is named and this is large, there is more to it, whether a view shows it or not.
-    What repeats as a multiple of a named wave is its form. What repeats as the wave itself, which was free to take it up,
-    is something else, and evidence in that view alone is enough.
+    `disturbance`: rms of the disturbance torque that the fit needs, over that of the input's torque. `label`: as of the `Share`.
     """
-    rattles = any(find_effect(name).coupling for name in named)  # no two runs of a loose load agree in each stretch
-    seen = [share for share in after if share.view not in SENSOR_VIEWS and not (rattles and share.view == OUTLIERS)]
-    waves = [periods for name in named if (periods := periods_of(name, values, turn)) is not None]
-    left = gap.after / gap.before if gap.before > 0 else 1.0
-    if named and fell < 1 and not rattles and not any(find_effect(name).sparse for name in named):
-        return answer.Remains(True, seen[0].view, seen[0].share, disturbance, seen[0].label)
+
+    flag: bool
+    view: str | None
+    share: float
+    disturbance: float = 0.0
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class FinalModel:
+    """What the rules need to know of the model that the search ended with.
+
+    Attributes
+    ----------
+    named : sequence of str
+        Effects that were named.
+    values : mapping of str to float
+        Its parameters [SI].
+    turn : float
+        Path along which periods are counted [rad or m].
+    error_left : float
+        Mean squared error on held-out segments, over that of the model without effects.
+    error_fall : float
+        Factor by which the error falls there, with the influence of single segments bounded.
+    outliers : bool
+        True if it misses some segment by far.
+    disturbance : float
+        As of `Unexplained`.
+    """
+
+    named: Sequence[str] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    turn: float = 6.283185307179586
+    error_left: float = 1.0
+    error_fall: float = 1.0
+    outliers: bool = False
+    disturbance: float = 0.0
+
+    @property
+    def free_play(self) -> bool:
+        """Whether a load with free play is among the named effects: its segments may diverge by chance."""
+        return any(find_effect(name).coupling for name in self.named)
+
+    @property
+    def ineffective(self) -> bool:
+        """Whether effects were named that do not lower the error on held-out segments, although they act in all of them."""
+        everywhere = not self.free_play and not any(find_effect(name).sparse for name in self.named)
+        return bool(self.named) and self.error_fall < 1 and everywhere
+
+
+def unexplained(shares: Sequence[Share], model: FinalModel) -> Unexplained:
+    """Return whether a part of the residual is unexplained; `shares` are those of the final model, the largest first.
+
+    A multiple of a named wave is its form. The named wave itself, which was free to fit, is something else, and evidence in
+    that view alone is enough. Where nothing is named and the fit needs a large disturbance, there is more to it, whether a
+    view shows it or not.
+    """
+    seen = [each for each in shares if each.view not in SENSOR_VIEWS and not (model.free_play and each.view == OUTLIERS)]
+    waves = [periods for name in model.named if (periods := periods_of(name, model.values, model.turn)) is not None]
+    if model.ineffective:
+        return Unexplained(True, seen[0].view, seen[0].share, model.disturbance, seen[0].label)
     certain = []
     for share in seen:
         same = any(is_same(share.periods, wave) for wave in waves)
         if not (share.p <= CERTAIN_P or (same and share.alone <= VIEW_ALONE_P)):
             continue
         certain.append(share)
-        if named:
-            beside = share.share * left >= (WAVE_SHARE if same else GAP_SHARE)
-            large = share.share >= LEAST_SHARE and (beside or (share.view == "tone" and share.share >= TONE_SHARE))
-        else:
-            large = share.share >= (FAINT_SHARE if share.p <= LEAST_DRAWN_P else OUTLIER_SHARE if odd else LEAST_SHARE)
-        if large and not any(is_form(share.periods, wave) for wave in waves):
-            return answer.Remains(True, share.view, share.share, disturbance, share.label)
-    first = (certain or after)[0]
+        if _is_large(share, model, same) and not any(is_form(share.periods, wave) for wave in waves):
+            return Unexplained(True, share.view, share.share, model.disturbance, share.label)
+    first = (certain or shares)[0]
     view, label = (first.view, first.label) if certain else (None, "")
-    return answer.Remains(not named and disturbance > LARGE_DISTURBANCE, view, first.share, disturbance, label)
+    flag = not model.named and model.disturbance > LARGE_DISTURBANCE
+    return Unexplained(flag, view, first.share, model.disturbance, label)
+
+
+def _is_large(share: Share, model: FinalModel, same: bool) -> bool:
+    """Return whether a share is large enough to be reported; `same`: its period is that of a named effect."""
+    if model.named:
+        of_gap = share.share * model.error_left >= (SAME_WAVE_SHARE_OF_GAP if same else MIN_SHARE_OF_GAP)
+        return share.share >= MIN_SHARE and (of_gap or (share.view == "tone" and share.share >= TONE_SHARE))
+    if share.p <= SMALLEST_P:
+        return share.share >= SMALLEST_P_SHARE
+    return share.share >= (OUTLIER_RECORD_SHARE if model.outliers else MIN_SHARE)

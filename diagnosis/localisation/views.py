@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -41,6 +41,29 @@ class Share:
         if self.frequency is not None:
             return 1 / self.frequency
         return None if self.periods is None else turn / self.periods
+
+
+@dataclass(frozen=True)
+class View:
+    """Share of the residual's power in the output that is predictable from a view, before and after, each with its p.
+
+    `label` says what was found in it, such as "7 in a turn"; `before` and `after`, shape (lines, bins), are
+    residual torques [N.m; N on a linear axis] in the bins of `centres` (bins,) [SI]; the `lines` have names, such as forward
+    and backward for views with a direction. Shares are of 1. With a `period` [unit of the axis] its periods are laid over
+    each other.
+    """
+
+    view: str
+    share: float
+    p: float
+    share_after: float
+    p_after: float
+    label: str = ""
+    centres: Array = field(default_factory=lambda: np.empty(0))
+    before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins)
+    after: Array = field(default_factory=lambda: np.empty(0))
+    lines: tuple[str, ...] = ()
+    period: float | None = None
 
 
 def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:
@@ -87,7 +110,7 @@ def stops(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
     return np.repeat(out / widths, skip, axis=0)[: len(theta)]
 
 
-def _waves(angle: Array, count: int) -> Array:
+def harmonics(angle: Array, count: int) -> Array:
     return np.column_stack([wave(k * angle) for k in range(1, count + 1) for wave in (np.sin, np.cos)])
 
 
@@ -95,7 +118,7 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     """Return functions (n, k) of each view; `step` is the step of the sensor [rad]."""
     way = np.sign(m.v)[:, None]
     du = np.diff(m.u, prepend=m.u[0]) / h
-    turn = np.column_stack([_waves(m.theta, 3), hats(m.theta)])
+    turn = np.column_stack([harmonics(m.theta, 3), hats(m.theta)])
     widths = np.geomspace(4 * step, max(0.2 * np.ptp(m.theta), 40 * step), HYSTERESIS_ELEMENTS)
     span = np.column_stack([np.ones_like(m.u), m.u, np.abs(m.u)])
     return {
@@ -105,7 +128,7 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
         "t": hats(m.time, 21),
         "theta": turn,
         "theta x direction": way * turn,
-        "theta x u": m.u[:, None] * _waves(m.theta, 4),
+        "theta x u": m.u[:, None] * harmonics(m.theta, 4),
         "t x direction": way * hats(m.time),
         "t x v": m.v[:, None] * hats(m.time),
         "u x direction": way * np.column_stack([span, hats(np.abs(m.u))]),

@@ -28,7 +28,8 @@ from bristle.common.drawing import (
     thin,
 )
 from bristle.diagnosis.report.result import Candidate, Diagnosis, Round, Trace, View
-from bristle.diagnosis.report.text import AXES, view_name
+from bristle.diagnosis.report.text import AXES, NATS, effect_name, view_name
+from bristle.plant.wording import Wording
 from bristle.records.layout import INPUT_UNITS
 
 Array = NDArray[np.float64]
@@ -73,6 +74,11 @@ class Rig:
         return cls(linear, "force" if linear else "torque", "velocity" if "/s" in unit else "position")
 
     @property
+    def wording(self) -> Wording:
+        """Words for this axis."""
+        return Wording(self.linear, self.input_kind)
+
+    @property
     def angle(self) -> str:
         """Unit of a position."""
         return "m" if self.linear else "rad"
@@ -109,7 +115,7 @@ class Rig:
 
 
 def draw(diagnosis: Diagnosis) -> dict[str, str]:
-    """Return the figures by name, each an <svg> element; what there is no data for is left out."""
+    """Return the figures by name, each an <svg> element; a figure without data is left out."""
     from matplotlib import rc_context
 
     rig, made = Rig.of(diagnosis), {}
@@ -118,7 +124,7 @@ def draw(diagnosis: Diagnosis) -> dict[str, str]:
             ("gap", _gap(diagnosis, rig)),
             ("overlay", _overlay(diagnosis, rig)),
             ("maps", _maps(diagnosis.where, rig, improved(diagnosis))),
-            ("candidates", _candidates(diagnosis)),
+            ("candidates", _candidates(diagnosis, rig)),
         ):
             if figure is not None:
                 made[name] = svg(figure, name)
@@ -186,8 +192,8 @@ def _mean_square(error: Array, count: int) -> Array:
     return np.where(weight > 0.25 * len(window), total / np.maximum(weight, 1.0), np.nan)
 
 
-def telling(traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS) -> tuple[Trace, slice] | None:
-    """Return the record and the stretch of it in which the simulation was worst before."""
+def worst_part(traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS) -> tuple[Trace, slice] | None:
+    """Return the record and the part of it in which the error was largest before."""
     best: tuple[float, Trace, slice] | None = None
     for trace in traces:
         if len(trace.time) < 2:
@@ -204,7 +210,7 @@ def telling(traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS) -> tuple[
 
 
 def _overlay(diagnosis: Diagnosis, rig: Rig) -> Any:
-    found = telling(diagnosis.traces)
+    found = worst_part(diagnosis.traces)
     if found is None:
         return None
     trace, part = found
@@ -228,7 +234,7 @@ def _overlay(diagnosis: Diagnosis, rig: Rig) -> Any:
         _shade(ax, trace.time[part], trace.held_out[part])
         ax.set_xlim(trace.time[part][0], trace.time[part][-1])
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.19))
-    set_title(top, f"{trace.name}, where it was worst")
+    set_title(top, f"{trace.name}, where the error is largest")
     set_labels(top, y=f"{rig.output_kind}, {unit}")
     set_labels(low, x="time, s", y=f"error, {unit}")
     return figure
@@ -250,7 +256,7 @@ def _along(ax: Any, trace: Trace, part: slice, rig: Rig, both: bool) -> None:
 
 
 def _shade(ax: Any, time: Array, held_out: NDArray[np.bool_]) -> None:
-    """Shade the held-out stretches."""
+    """Shade the held-out segments."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], held_out, [False]]).astype(int)))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         ax.axvspan(time[first], time[min(last, len(time) - 1)], color=GREEN, alpha=0.07, linewidth=0)
@@ -298,7 +304,7 @@ def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
 
 
 # -- candidates ----------------------------------------------------------------------------------------------------------
-def _candidates(diagnosis: Diagnosis) -> Any:
+def _candidates(diagnosis: Diagnosis, rig: Rig) -> Any:
     rounds = [r for r in diagnosis.rounds if r.candidates]
     if not rounds:
         return None
@@ -310,7 +316,10 @@ def _candidates(diagnosis: Diagnosis) -> Any:
     figure.subplots_adjust(wspace=0.06, hspace=0.5)
     _narrow_left(figure)
     for number, (ax, each) in enumerate(zip(axes, rounds, strict=False), start=1):
-        _bars(ax, each, number, _tied(diagnosis, each, number == len(rounds)))
+        _bars(ax, each, _tied(diagnosis, each, number == len(rounds)), rig.wording)
+        more = len(each.candidates) - DRAWN_BARS
+        added = f"{effect_name(each.added, rig.wording)} added" if each.added else "nothing added"
+        set_title(ax, f"round {number}: {added}" + (f"; {more} more gain less" if more > 0 else ""))
     for ax in axes[len(rounds) :]:
         ax.set_visible(False)
     return figure
@@ -323,7 +332,7 @@ def _tied(diagnosis: Diagnosis, each: Round, last: bool) -> set[str]:
     return {name for tie in diagnosis.ties for name in tie if each.added in tie or (open_ and not added & set(tie))}
 
 
-def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
+def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     ranked = sorted(each.candidates, key=lambda c: -c.gain if math.isfinite(c.gain) else math.inf)
     drawn = ranked[:DRAWN_BARS]
     best = max((c.gain for c in drawn if math.isfinite(c.gain)), default=0.0)
@@ -336,15 +345,13 @@ def _bars(ax: Any, each: Round, number: int, tied: set[str]) -> None:
         ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
         gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
         note = f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})" if candidate.note else ""
-        text = f"{candidate.name}  {gained}{note}"
+        text = f"{effect_name(candidate.name, wording)}  {gained}{note}"
         ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
     ax.set_xlim(0, right)
     ax.set_ylim(len(drawn) - 0.5, -0.6)
     ax.set_yticks([])
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
-    more = len(ranked) - len(drawn)
-    set_title(ax, f"round {number}: {each.added or 'nothing'} added" + (f"; {more} more gain less" if more > 0 else ""))
     set_labels(ax, x="gain, nats")
 
 
@@ -358,31 +365,32 @@ def _shade_of(candidate: Candidate, each: Round, tied: set[str]) -> str:
 
 def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     """Return title and caption of each figure."""
-    both = improved(diagnosis)
-    band = " Grey band: what resolution and disturbances alone give." if diagnosis.gap.noise_floor is not None else ""
-    shrink = " The shrink is that of the mean square above this floor." if both and band else ""
+    both, torque = improved(diagnosis), Rig.of(diagnosis).wording.torque
+    floor = " Grey band: the noise floor, what disturbance and sensor noise alone account for."
+    band = floor if diagnosis.gap.noise_floor is not None else ""
     before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
     colours = ", before (orange) and after (blue)" if both else ""
-    segments = "short segments that took no part in the search"
+    segments = "held-out segments, which took no part in the search"
     if as_given(diagnosis):
-        segments = "short segments, of the model as it was given: nothing was fitted and nothing looked for"
+        segments = "all segments, of the model as it was given: nothing was fitted and no effect was tried"
     return {
-        "gap": ("The gap", f"Root of the mean squared error over {segments}.{band}{shrink}"),
+        "gap": ("Error of the model", f"Root of the mean squared error of the output over {segments}.{band}"),
         "overlay": (
             "Before and after" if both else "Measured and simulated",
             f"Each segment starts from its own fitted position and velocity.{before} "
-            "Green shade: held out of the search and of these fits, so that a step there is known only to its edges.",
+            "Shaded green: held-out segments, used neither for the search nor for these fits.",
         ),
         "maps": (
-            "Where the difference lives",
-            f"Residual averaged in bins of the view or, where it repeats, fitted over one period{colours}; solid: forward, "
-            "dashed: backward, where there are two lines. "
-            "The share is how much of the residual the view predicts on data it has not seen.",
+            "Where the residual is",
+            f"Residual {torque} over the variable that predicts it: averaged in bins or, where it is periodic, fitted over one "
+            f"period{colours}; solid: forward, dashed: backward, where there are two lines. "
+            "The share is how much of the residual's power the variable predicts in segments left out of its fit; p: "
+            "probability of as much by chance.",
         ),
         "candidates": (
-            "What each effect would gain",
-            "Rise of the log-likelihood (in nats: 3 more are 20 times as likely) when the effect is added and "
-            "everything refitted. Shaded up to the dashed line: what chance gives it, all candidates together, in all but two of "
-            "a thousand records without any effect. Blue: added; red: tied; pale: neither.",
+            "Gain of each candidate effect",
+            f"Rise of the log-likelihood when the effect is added and all parameters are refitted, in nats ({NATS}). Shaded up "
+            "to the dashed line: gains that chance gives in all but two of a thousand diagnoses without a missing effect. "
+            "Blue: added; red: tied; pale: neither.",
         ),
     }

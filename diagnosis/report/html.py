@@ -10,16 +10,25 @@ from typing import Any
 import numpy as np
 
 from bristle.common.html import badge, figure, number, page, table, unit
-from bristle.diagnosis.conclusion import VIEW_P
+from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P
 from bristle.diagnosis.localisation.unexplained import CERTAIN_P
 from bristle.diagnosis.report.figures import Rig, as_given, captions, improved
 from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Named
-from bristle.diagnosis.report.text import OUTLIER_NOTE, on_axis, rounded, view_name
+from bristle.diagnosis.report.text import (
+    NATS,
+    OUTLIER_NOTE,
+    effect_name,
+    effects_listed,
+    listed,
+    rounded,
+    unexplained_lines,
+    view_name,
+)
 from bristle.plant.effects import effects as all_effects
 
-LOOKS = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
-WORDS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
-EXCITATION = {  # key -> how a person says it; the others read as they are
+BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
+VERDICTS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
+EXCITATION = {  # key of the excitation -> words; the others read as they are
     "input_range": "input", "speed_dominant_tone_share": "share of the strongest tone in the speed",
     "input_bandwidth": "bandwidth of the input", "speed_range": "speed",
     "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
@@ -31,22 +40,17 @@ EXCITATION = {  # key -> how a person says it; the others read as they are
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict as a heading."""
     if diagnosis.proposals:
-        return "First mend the data" if as_given(diagnosis) else "First widen the bounds"
-    names = [effect.name for effect in diagnosis.effects]
+        return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
+    wording = Rig.of(diagnosis).wording
     if diagnosis.verdict == "named":
-        return f"The model lacks {_listed(names, 'and')}"
+        return f"The model lacks: {effects_listed([effect.name for effect in diagnosis.effects], 'and', wording)}"
     if diagnosis.verdict == "tie":
-        sets = "; ".join(_listed(tie, "or") for tie in diagnosis.ties)
-        return f"The model lacks {sets}: the data fit each equally well"
+        sets = "; ".join(effects_listed(tie, "or", wording) for tie in diagnosis.ties)
+        return f"The model lacks one of: {sets}; the records fit each equally well"
     if diagnosis.verdict == "none":
         unknown = "Something is missing, and no effect of the catalogue explains it"
         return unknown if diagnosis.remains.flag else "No effect is missing"
-    return "These records cannot tell what is missing"
-
-
-def _listed(names: Sequence[str], word: str) -> str:
-    """Return "a, b and c"."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else "nothing"
+    return "These records cannot identify what is missing"
 
 
 def interval(value: float, low: float, high: float) -> str:
@@ -68,11 +72,10 @@ class _Writer:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
 
+        self.known = all_effects(rig.wording)
+
     def unit(self, text: str) -> str:
         return unit(text) or "–"
-
-    def said(self, text: str) -> str:
-        return escape(on_axis(text, self.rig.linear, self.rig.input_kind))
 
     def estimate(self, e: Estimate | None) -> str:
         """Write value, interval and, where it ended there, the bound."""
@@ -81,23 +84,27 @@ class _Writer:
         text = number(e.value) if e.ci95 is None else interval(e.value, *e.ci95)
         return text + (f" {badge('bad', 'at its bound')}" if e.at_bound else "")
 
+    def name(self, effect: str) -> str:
+        """Write an effect in words, with its identifier."""
+        return f"<b>{escape(effect_name(effect, self.rig.wording))}</b>"
+
     def effects(self, effects: Iterable[Named]) -> str:
         """Return the table of named effects, a line for each parameter."""
-        rows, known = [], all_effects()
+        rows = []
         for effect in effects:
-            meaning = known[effect.name].description if effect.name in known else effect.group
+            meaning = self.known[effect.name].description if effect.name in self.known else effect.group
             facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
-            first = f'<b>{escape(effect.name)}</b><div class="sub">{self.said(meaning)}</div><div class="sub">{facts}</div>'
+            first = f'{self.name(effect.name)}<div class="sub">{escape(meaning)}</div><div class="sub">{facts}</div>'
             rows += self._parameters(effect.name, first, effect.parameters)
-        return table(("effect", "parameter", "value, 95 % interval", "unit"), rows)
+        text = table(("effect", "parameter", "value, 95 % interval", "unit"), rows) if rows else ""
+        return text + (f'<p class="sub">Nats: {NATS}; p: probability of as much by chance.</p>' if rows else "")
 
     def _parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
-        known = all_effects()
-        meanings = {p.name: p.description for p in known[name].parameters} if name in known else {}
+        meanings = {p.name: p.description for p in self.known[name].parameters} if name in self.known else {}
         rows: list[tuple[str, ...]] = []
         for k, (key, e) in enumerate(parameters.items()):
             meaning = meanings.get(f"{name}.{key}", "")
-            label = f'{escape(key)}<div class="sub">{self.said(meaning)}</div>'
+            label = f'{escape(key)}<div class="sub">{escape(meaning)}</div>'
             rows.append((first if k == 0 else "", label, self.estimate(e), self.unit(e.unit)))
         return rows or [(first, "", "", "")]
 
@@ -105,16 +112,16 @@ class _Writer:
         """Return the model's parameters: nominal, refitted, refitted with the effects."""
         model = diagnosis.model
         nominal = model.values if model is not None else {}
-        columns = {"refitted alone": diagnosis.base} if diagnosis.base else {}
+        columns = {"refitted without effects": diagnosis.base} if diagnosis.base else {}
         if diagnosis.effects:
-            columns["refitted with " + _listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
+            columns["with " + listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
         for name, found in diagnosis.choice_parameters.items():
-            columns[f"refitted with {name}" + (" (chosen)" if name == choose else "")] = found
+            columns[f"with {name}" + (" (chosen)" if name == choose else "")] = found
         units = {name: model.unit(name) for name in nominal}
         units |= {name: e.unit for column in columns.values() for name, e in column.items()}
         rows = []
         for name in dict.fromkeys([*nominal, *units]):
-            fitted = [self.estimate(column[name]) if name in column else "kept" for column in columns.values()]
+            fitted = [self.estimate(column[name]) if name in column else "not fitted" for column in columns.values()]
             rows.append((escape(name), self.unit(units[name]), number(nominal.get(name)), *fitted))
         return table(("parameter", "unit", "nominal", *map(escape, columns)), rows, (2,))
 
@@ -132,21 +139,22 @@ def _items(lines: Iterable[str]) -> str:
 def _proposals(diagnosis: Diagnosis) -> str:
     if not diagnosis.proposals:
         return ""
-    return f'<div class="alarm"><b>Mend this first, then diagnose again:</b>{_items(diagnosis.proposals)}</div>'
+    return f'<div class="alarm"><b>Correct this first, then diagnose again:</b>{_items(diagnosis.proposals)}</div>'
 
 
 def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
     if not diagnosis.ties:
         return ""
-    parts = [f"<p>Within {escape(_listed(tie, 'and'))} the data cannot choose.</p>" for tie in diagnosis.ties]
+    wording = writer.rig.wording
+    parts = [f"<p>The records cannot distinguish {escape(effects_listed(t, 'from', wording))}.</p>" for t in diagnosis.ties]
     if diagnosis.choices:
         members = (Named(name, "", found, math.nan, math.nan) for name, found in diagnosis.choices.items())
-        rows = [row for m in members for row in writer._parameters(m.name, f"<b>{escape(m.name)}</b>", m.parameters)]
-        parts.append(table(("if it is", "parameter", "value, 95 % interval", "unit"), rows))
+        rows = [row for m in members for row in writer._parameters(m.name, writer.name(m.name), m.parameters)]
+        parts.append(table(("with", "parameter", "value, 95 % interval", "unit"), rows))
     if choose is not None:
-        parts.append(f"<p>Chosen by hand for the augmented model: <b>{escape(choose)}</b>.</p>")
+        parts.append(f"<p>Chosen by hand for the augmented model: {writer.name(choose)}.</p>")
     elif diagnosis.verdict == "tie":
-        parts.append("<p>No model was augmented: choose one of them with <code>--choose NAME</code> to get one.</p>")
+        parts.append("<p>No augmented model was written: choose one of them with <code>--choose NAME</code> to get it.</p>")
     return "".join(parts)
 
 
@@ -155,51 +163,48 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
     if as_given(diagnosis):
         return ""
     if improved(diagnosis) and gap.after >= gap.before:
-        return f"<p>On these stretches the error did not fall: {OUTLIER_NOTE}.</p>"
-    most, least = ("at most ", "at least ") if diagnosis.remains.flag else ("", "")  # what is unexplained looks like noise
+        return f"<p>On held-out segments the error did not fall: {OUTLIER_NOTE}.</p>"
+    most, least = (
+        ("at most ", "at least ") if diagnosis.remains.flag else ("", "")
+    )  # an unexplained residual is partly taken for noise
     if gap.shrink is not None and improved(diagnosis):
         closed = gap.noise_floor is not None and gap.after <= gap.noise_floor and not diagnosis.remains.flag
-        rest = ": what is left is no more than disturbance and sensor alone give" if closed else ""
-        facts.append(f"The gap shrank by {most}<b>{100 * gap.shrink:.1f} %</b>{rest}.")
+        rest = ", down to what disturbance and sensor noise alone account for" if closed else ""
+        facts.append(f"The mean squared error above the noise floor shrank by {most}<b>{100 * gap.shrink:.1f} %</b>{rest}.")
     if gap.ratio is None:
-        facts.append("How much of the error disturbance and sensor alone give is not known.")
+        facts.append("The noise floor, which disturbance and sensor noise alone would leave, is not known.")
     elif improved(diagnosis) or gap.ratio > 1:
         begin = "Before, the mean squared error was" if improved(diagnosis) else "The mean squared error is"
         facts.append(f"{begin} {least}{number(gap.ratio, 3)} times the noise floor.")
     elif not diagnosis.remains.flag:
-        facts.append("The error is no larger than what disturbance and sensor alone give.")
+        facts.append("The error is no larger than disturbance and sensor noise alone account for.")
     return f"<p>{' '.join(facts)}</p>"
 
 
-def _remains(diagnosis: Diagnosis) -> str:
+def _unexplained(diagnosis: Diagnosis) -> str:
     left = diagnosis.remains
     if diagnosis.proposals or not (left.flag or diagnosis.where):
-        return ""  # nothing was looked for, or it waits for wider bounds
+        return ""  # nothing was searched, or it waits for wider bounds
+    open_tie = bool(diagnosis.ties and not diagnosis.effects)
     if left.flag:
-        name = escape(view_name(left.view or "", left.label))
-        seen = f"{100 * left.share:.0f} % of the residual can be predicted from <b>{name}</b>"
-        force = "force" if Rig.of(diagnosis).linear else "torque"
-        taken = f"it would take a disturbance of {100 * left.disturbance:.0f} % of the input's {force}"
-        said = taken if left.view is None else seen
-        open_ = diagnosis.ties and not diagnosis.effects
-        end = "with none of these effects added" if open_ else "and no effect of the catalogue explains it"
-        return f'<p class="alarm">Something remains: {said}, {end}.</p>'
-    sure = [v for v in diagnosis.where if v.p_after <= CERTAIN_P]
-    said = "no view predicts more of the residual than chance gives"
-    if sure:
-        most = max(sure, key=lambda v: v.share_after)
+        lines = unexplained_lines(left, Rig.of(diagnosis).wording, open_tie)
+        return "".join(f'<p class="alarm">{escape(line)}</p>' for line in lines)
+    certain = [v for v in diagnosis.where if v.p_after <= CERTAIN_P]
+    said = "no motion variable predicts more of the residual than chance does"
+    if certain:
+        most = max(certain, key=lambda v: v.share_after)
         said = f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the residual that is left, "
-        said += "every other view less or no more than chance gives"
-    return f"<p>Nothing that stands out beside the gap there was: {said}.</p>"
+        said += "every other motion variable less, or no more than chance does"
+    return f"<p>Nothing that matters: {said}.</p>"
 
 
 def _views(diagnosis: Diagnosis) -> str:
     rows = []
-    for v in sorted(diagnosis.where, key=lambda v: (v.p > VIEW_P, -v.share)):
+    for v in sorted(diagnosis.where, key=lambda v: (v.p > LISTED_VIEW_P, -v.share)):
         name = escape(view_name(v.view, v.label))
         rows.append((name, f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2)))
     kept = 5 if improved(diagnosis) else 3
-    head = ("view", "share before" if kept == 5 else "share", "p", "share after", "p")
+    head = ("predicted from", "share before" if kept == 5 else "share", "p", "share after", "p")
     return table(head[:kept], [row[:kept] for row in rows], (1, 2, 3, 4)) if rows else ""
 
 
@@ -224,22 +229,23 @@ def _excitation(diagnosis: Diagnosis) -> str:
 
 
 def _undetected(diagnosis: Diagnosis) -> str:
-    rows = [(escape(name), escape(text)) for name, text in diagnosis.undetected.items()]
-    return table(("effect", "what these records say of it"), rows) if rows else ""
+    wording = Rig.of(diagnosis).wording
+    rows = [(escape(effect_name(name, wording)), escape(text)) for name, text in diagnosis.undetected.items()]
+    return table(("effect", "what would have been detected"), rows) if rows else ""
 
 
 def _rounds(diagnosis: Diagnosis) -> str:
     rows = []
     for k, each in enumerate(diagnosis.rounds, start=1):
         best = max((c for c in each.candidates if math.isfinite(c.gain)), key=lambda c: c.gain, default=None)
-        rows.append((str(k), _best(best), number(each.null_level, 3), number(each.p, 2), escape(each.decision)))
-    return table(("round", "best candidate", "chance level, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
+        rows.append((str(k), _best(best, Rig.of(diagnosis)), number(each.null_level, 3), number(each.p, 2), escape(each.decision)))
+    return table(("round", "best candidate", "gain by chance, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
 
 
-def _best(candidate: Candidate | None) -> str:
+def _best(candidate: Candidate | None, rig: Rig) -> str:
     if candidate is None:
         return "–"
-    return f'{escape(candidate.name)}<div class="sub">gain {number(candidate.gain, 3)} nats</div>'
+    return f'{escape(effect_name(candidate.name, rig.wording))}<div class="sub">gain {number(candidate.gain, 3)} nats</div>'
 
 
 def _files(files: Mapping[str, str]) -> str:
@@ -250,7 +256,7 @@ def _records(diagnosis: Diagnosis) -> str:
     said = []
     for trace in diagnosis.traces:
         said.append(f"{trace.name} ({number(float(np.ptp(trace.time)), 3)} s)")
-    return "; ".join(said) or "records and a model that do not speak of the same thing"
+    return "; ".join(said) or "records that contradict the model"
 
 
 def render(
@@ -265,7 +271,7 @@ def render(
     Parameters
     ----------
     figures : mapping of str to str
-        SVG text by name, as `bristle.diagnosis.figures.draw` gives it.
+        SVG text by name, as `figures.draw` gives it.
     files : mapping of str to str
         What was written: file name and what it is.
     notes : sequence of str
@@ -280,7 +286,7 @@ def render(
     lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in diagnosis.statement)
     alarms = _proposals(diagnosis) + "".join(f'<p class="alarm">{escape(note)}</p>' for note in notes)
     title = headline(diagnosis)
-    mark = badge(LOOKS[diagnosis.verdict], WORDS[diagnosis.verdict])
+    mark = badge(BADGES[diagnosis.verdict], VERDICTS[diagnosis.verdict])
     if diagnosis.proposals:
         mark = badge("bad", "data" if as_given(diagnosis) else "bounds")
     following = _section("What to measure next", f"<p>{escape(diagnosis.experiment)}</p>" if diagnosis.experiment else "")
@@ -288,19 +294,19 @@ def render(
     parts = [
         f'<header><p class="name">diagnosis of {escape(_records(diagnosis))}</p><h1>{escape(title)} {mark}</h1>{lead}'
         f'<p class="sub">found in {diagnosis.seconds:.0f} s</p></header>{alarms}',
-        _section("What is missing", writer.effects(diagnosis.effects) if diagnosis.effects else ""),
+        _section("What is missing", writer.effects(diagnosis.effects)),
         _section("What fits equally well", _tie(diagnosis, writer, choose)),
         "" if settled else following,
         _section(words["gap"][0], _gap_facts(diagnosis) + drawn.get("gap", "")),
         _section(words["overlay"][0], drawn.get("overlay", "")),
         _section(words["maps"][0], drawn.get("maps", "") + _views(diagnosis)),
         _section(words["candidates"][0], drawn.get("candidates", "")),
-        _section("What remains", _remains(diagnosis)),
+        _section("Unexplained residual", _unexplained(diagnosis)),
         following if settled else "",
-        _section("Excitation", _excitation(diagnosis)),
+        _section("What the records excite", _excitation(diagnosis)),
         _section("Findings", _items(diagnosis.findings)),
         _section("The model's own parameters", writer.base(diagnosis, choose)),
-        _section("What was not found, and how much of it would have been seen", _undetected(diagnosis)),
+        _section("Effects that were not found, and what size would have been detected", _undetected(diagnosis)),
         _section("The search", _rounds(diagnosis)),
         _section("Files", _files(files)),
     ]

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from bristle.common.output import plain
 from bristle.diagnosis.estimation.uncertainty import Estimate as Estimate
+from bristle.diagnosis.localisation.unexplained import Unexplained
+from bristle.diagnosis.localisation.views import View as View
 
 Array = NDArray[np.float64]
 
@@ -59,43 +61,6 @@ class Round:
 
 
 @dataclass(frozen=True)
-class View:
-    """Share of the residual's power in the output that is predictable from a view, before and after, each with its p.
-
-    `label` says what was found in it, such as "7 in a turn"; `before` and `after`, shape (lines, bins), are
-    residual torques [N.m; N on a linear axis] in the bins of `centres` (bins,) [SI]; the `lines` have names, such as forward
-    and backward for views with a direction. Shares are of 1. With a `period` [unit of the axis] its periods are laid over
-    each other.
-    """
-
-    view: str
-    share: float
-    p: float
-    share_after: float
-    p_after: float
-    label: str = ""
-    centres: Array = field(default_factory=lambda: np.empty(0))
-    before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins)
-    after: Array = field(default_factory=lambda: np.empty(0))
-    lines: tuple[str, ...] = ()
-    period: float | None = None
-
-
-@dataclass(frozen=True)
-class Remains:
-    """Whether something is left that no effect explains, where (None: no view shows it), and its share of the residual.
-
-    `disturbance`: the torque that it takes for a disturbance, over that of the input; rms. `label`: as of the `View`.
-    """
-
-    flag: bool
-    view: str | None
-    share: float
-    disturbance: float = 0.0
-    label: str = ""
-
-
-@dataclass(frozen=True)
 class Gap:
     """Mean squared output error over held-out segments [`unit`], start states at their best.
 
@@ -113,6 +78,11 @@ class Gap:
     def unit(self) -> str:
         """Unit of the output, squared."""
         return f"({self.output_unit})2" if "/" in self.output_unit else f"{self.output_unit}2"
+
+    @property
+    def left(self) -> float:
+        """Error after over error before."""
+        return self.after / self.before if self.before > 0 else 1.0
 
     @property
     def ratio(self) -> float | None:
@@ -158,7 +128,7 @@ class Diagnosis:
     ties: tuple[tuple[str, ...], ...]
     experiment: str
     where: tuple[View, ...]
-    remains: Remains
+    remains: Unexplained
     gap: Gap
     excitation: dict[str, Any]
     findings: tuple[str, ...]

@@ -1,135 +1,87 @@
-"""The answer in sentences: what was found, how sure that is, what to measure next."""
+"""The sentences of a diagnosis: what is missing, how much, how certain, and what to measure next."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-
-import numpy as np
+from dataclasses import dataclass
 
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
+from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import Estimate, Gap, Named, Remains
-from bristle.diagnosis.selection.candidates import Candidate
-from bristle.diagnosis.selection.null_distribution import Null
+from bristle.diagnosis.report.result import Estimate, Gap, Named
+from bristle.diagnosis.selection.detection_limit import Undetected
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.effects import separation
+from bristle.plant.wording import ROTARY, Wording
 
-REPEAT_ADVICE = {  # what shows more of what remains in a view that no motion varies
-    "tone": "Record with the input at zero and the drive on, then with what runs nearby switched off, to see what swings there.",
-    "history": "Record motion to and fro, by small steps and by large ones, to see what remains after a reversal.",
-    "t": "Record the same motion again, over a longer time, to see what changes with it.",
+REPEAT_ADVICE = {  # view -> what to record where no other motion would show more of the residual
+    "tone": "Record with the input at zero and the drive on, then with nearby machines switched off, to find what oscillates.",
+    "history": "Record motion to and fro, with small steps and with large ones, to find what is unexplained after a reversal.",
+    "t": "Record the same motion again, over a longer time, to find what changes with it.",
 }
-OUTLIER_NOTE = "a few where the servo went another way by chance may be most of it"
-UNSEEN_RATIO = 1e3  # relative to the model's own friction or input: a limit beyond this means that records cannot show it
-MOST_DIGITS = 6  # of a value, at most
-MOST_TIED, MOST_TIED_UNIFORM = 3, 2  # most classes in a tie: with more, or with more in a uniform motion, the records name nothing
+NATS = "natural units of log-likelihood: a gain of 4.6 nats is odds of 100 to 1"
+OUTLIER_NOTE = "a few outlier segments may dominate it"
+MOST_DIGITS = 6  # significant digits of a value at most
 AXES = {  # first part of a view -> name and kind of quantity
     "theta": ("position", "angle"), "v": ("velocity", "speed"), "a": ("acceleration", "acceleration"),
     "u": ("input", "input"), "du": ("rate of the input", "input rate"), "t": ("time", "time"),
     "history": ("travel since the last reversal", "angle"), "direction": ("sign of the velocity", "none"),
-    "frequency": ("frequency", "frequency"), "tone": ("tone in time", "time"),
+    "frequency": ("frequency", "frequency"), "tone": ("oscillation in time", "time"), OUTLIERS: ("outlier segments", "none"),
 }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Facts:
+    """What the sentences are written from.
+
+    Attributes
+    ----------
+    parameters : mapping of str to Estimate
+        All fitted parameters, for those that end at a bound.
+    unidentified : tuple of str
+        The model's parameters if the records determine none of them.
+    narrow : str
+        Why the motion is too poor to distinguish effects, or an empty text.
+    """
+
+    verdict: str
+    gap: Gap
+    remains: Unexplained
+    effects: Sequence[Named] = ()
+    ties: Sequence[Sequence[str]] = ()
+    parameters: Mapping[str, Estimate] | None = None
+    unidentified: Sequence[str] = ()
+    narrow: str = ""
+    wording: Wording = ROTARY
+
+
+# -- names ---------------------------------------------------------------------------------------------------------------
 def view_name(view: str, label: str = "") -> str:
     """Return a view in words, with what was found in it: "theta", "7 in a turn" is position (7 in a turn)."""
-    if view == OUTLIERS and label:
-        return f"far off: {label}"
     first, _, second = view.partition(" x ")
     names = [AXES.get(part, (part, ""))[0] for part in (first, second) if part]
     return " × ".join(names) + (f" ({label})" if label else "")
 
 
-def words(name: str) -> str:
-    """Return an effect's description in words."""
-    return find_effect(name).description
+def effect_name(name: str, wording: Wording = ROTARY) -> str:
+    """Return an effect in words, its identifier in brackets; a name that is no effect stays as it is."""
+    known = all_effects(wording)
+    return f"{known[name].title} ({name})" if name in known else name
 
 
-def on_axis(text: str, linear: bool, input_kind: str) -> str:
-    """Return a text about a servo as it is for a linear axis (force for torque) and for an input that is no voltage.
-
-    Full names of parameters, such as bias.torque, stay as they are.
-    """
-    text = re.sub(r"\bvoltage\b", input_kind, text)
-    text = text.replace("periods in a turn", "2 pi over the length of a period") if linear else text
-    return re.sub(r"(?<!\.)\btorque", "force", text) if linear else text
+def listed(names: Sequence[str], word: str) -> str:
+    """Return "a, b and c"."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else "nothing"
 
 
-def experiment(ties: Sequence[Sequence[str]], remains: Remains, narrow: str, named: bool = False) -> str:
-    """Return what to measure next, or an empty text; `narrow` says why the records are too poor, if they are."""
-    lines = [f"Nothing can be named for certain on such records: {narrow}."] if narrow else []
-    if narrow and named:
-        lines = [f"On such records other effects look much alike, so confirm the name on better ones: {narrow}."]
-    for tie in ties:
-        known = separation(tie)
-        each = "; ".join(f"for {name}: {find_effect(name).excitation}" for name in tie)
-        lines.append(f"To tell {' and '.join(tie)} apart: {known or each}.")
-    if ties and not named:
-        return " ".join(lines)
-    if remains.flag and remains.view in REPEAT_ADVICE:
-        lines.append(REPEAT_ADVICE[remains.view])
-    elif remains.flag and remains.view is None:
-        lines.append("Look for what is loose, and measure on the other side of it too; and log all that acts on the axis.")
-    elif remains.flag:
-        again = f"motion that varies {view_name(remains.view or '')} most"
-        if remains.view == OUTLIERS:
-            again = "again what happens in the stretches that stand out"
-        lines.append(f"Record {again}, and all else little, to see what remains there.")
-    return " ".join(lines)
+def effects_listed(names: Sequence[str], word: str, wording: Wording = ROTARY) -> str:
+    """Return effects in words, as "a (name), b (name) and c (name)"."""
+    return listed([effect_name(name, wording) for name in names], word)
 
 
-def undetected(
-    candidates: Sequence[Candidate],
-    null: Null,
-    base: float,
-    told_parameters: Collection[str],
-    model: Model,
-    added: str = "",
-    adrift: bool = False,
-) -> dict[str, str]:
-    """Return for each effect that was not found how large it may be without being seen.
-
-    `base` is the likelihood without it, `told` are the effects that were found or are in a tie, `added` the one that was added
-    after these candidates were tried. With `adrift` nobody knows how the positions of the records lie beside each other.
-    """
-    found: dict[str, str] = {}
-    for c in candidates:
-        if c.name in told_parameters:
-            continue
-        if c.fit is None:
-            found[c.name] = c.refused
-            continue
-        gain = c.fit.total - base
-        seen = f"something like it shows (gain {gain:.0f} nats), but too little of it, or nothing where it was not sought"
-        if added:
-            seen = f"before {added} was added it gained {gain:.0f} nats; beside that nothing shows it"
-        found[c.name] = seen if gain > null.level(c.name) else _limit(c, null, model)
-        if adrift and find_effect(c.name).position_dependent:
-            found[c.name] += "; all this if the records begin at the same position"
-    return found
-
-
-def _limit(c: Candidate, null: Null, model: Model) -> str:
-    effect = find_effect(c.name)
-    shows = f"what shows it: {effect.excitation}"
-    strength = effect.parameters[0]
-    proportional = strength.minimum <= 0 <= strength.maximum and not effect.sparse  # nothing is left of it at zero
-    if c.fit is None or not proportional or strength.name not in [f.name for f in c.fit.free]:
-        return f"tried, and no trace of it; {shows}"
-    place = [f.name for f in c.fit.free].index(strength.name)
-    if others := c.fit.collinear_with(place):
-        return f"these records cannot tell it from {', '.join(others)}; {shows}"
-    spread = float(np.linalg.pinv(c.fit.information, rcond=1e-12, hermitian=True)[place, place])
-    limit = math.sqrt(2 * null.level(c.name) * max(spread, 0.0))
-    if not math.isfinite(limit) or limit == 0 or limit > min(strength.maximum, 1e5):
-        return f"these records cannot show it; {shows}"
-    unit = model.unit(strength.name)
-    return f"{strength.description}: more than {limit:.2g}{'' if unit == '1' else ' ' + unit} would have been seen"
-
-
+# -- numbers -------------------------------------------------------------------------------------------------------------
 def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str, str], int] | None:
     """Return value, low, high and half the interval as texts, and the power of ten they are given in.
 
@@ -151,23 +103,6 @@ def rounded(value: float, low: float, high: float) -> tuple[tuple[str, str, str,
     return (mid, below, above, spread), power
 
 
-def told_parameters(e: Named) -> dict[str, Estimate]:
-    """Return the parameters of an effect that a sentence gives: without those of its form or of a second term, if the effect
-    may be without them."""
-    known = find_effect(e.name)
-    defaults = {p.name.split(".")[1]: p.default for p in known.parameters}
-
-    def idle(names: Iterable[str]) -> bool:
-        found = [(defaults[name], e.parameters[name].ci95) for name in names if name in e.parameters]
-        return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in found)
-
-    left_out = {
-        *(known.shape_parameters if idle(known.shape_parameters) else ()),
-        *(known.second_term if idle(known.second_term[:1]) else ()),
-    }
-    return {name: estimate for name, estimate in e.parameters.items() if name not in left_out}
-
-
 def plain_texts(e: Estimate) -> tuple[str, str, str]:
     """Return an estimate and the ends of its interval as plain texts; the ends are empty where there is none."""
     found = rounded(e.value, *e.ci95) if e.ci95 else None
@@ -186,63 +121,175 @@ def value(e: Estimate) -> str:
     return f"{mid}{unit} ({low} to {high}){length}" if low else f"{mid}{unit} (uncertain){length}"
 
 
-def statement(
-    verdict: str,
-    effects: Sequence[Named],
-    ties: Sequence[Sequence[str]],
-    gap: Gap,
-    remains: Remains,
-    base: Mapping[str, Estimate],
-    mute: Sequence[str] = (),
-) -> tuple[str, ...]:
-    """Return the answer, one sentence or two a line; `mute` are the model's parameters if the records tell none of them."""
-    lines = []
-    for e in effects:
-        found = ", ".join(f"{name} {value(estimate)}" for name, estimate in told_parameters(e).items())
-        lines.append(f"Missing: {words(e.name)} ({e.name}); {found}; p ≤ {e.p:.2g}.")
-    for tie in ties:
-        whole = " and ".join(tie) if len(tie) == 2 else ", ".join(tie)
-        lines.append(f"These records do not tell {whole} apart.")
-    if verdict == "none":
-        lines.append("No effect explains more than chance would, or enough to matter.")
-    if mute:
-        lines.append(
-            f"The output hardly follows the input: not even {', '.join(mute)} can be told from these records, let alone what is "
-            "missing. Check the columns in [input] and [output], or give records that move more."
+def reported_parameters(e: Named) -> dict[str, Estimate]:
+    """Return the parameters of an effect that a sentence gives: those of its form, or of a second term, only if the effect
+    cannot be without them."""
+    known = find_effect(e.name)
+    defaults = {p.name.split(".")[1]: p.default for p in known.parameters}
+
+    def idle(names: Iterable[str]) -> bool:
+        found = [(defaults[name], e.parameters[name].ci95) for name in names if name in e.parameters]
+        return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in found)
+
+    left_out = {
+        *(known.shape_parameters if idle(known.shape_parameters) else ()),
+        *(known.second_term if idle(known.second_term[:1]) else ()),
+    }
+    return {name: estimate for name, estimate in e.parameters.items() if name not in left_out}
+
+
+# -- the answer ----------------------------------------------------------------------------------------------------------
+def statement(facts: Facts) -> tuple[str, ...]:
+    """Return the answer, one sentence or two a line."""
+    return (
+        *(_missing(effect, facts.wording) for effect in facts.effects),
+        *(f"These records cannot distinguish {effects_listed(tie, 'from', facts.wording)}." for tie in facts.ties),
+        *_without_name(facts),
+        _error(facts),
+        *unexplained_lines(facts.remains, facts.wording, bool(facts.ties and not facts.effects)),
+        *_at_bounds(facts.parameters or {}),
+    )
+
+
+def _missing(e: Named, wording: Wording) -> str:
+    found = ", ".join(f"{name} {value(estimate)}" for name, estimate in reported_parameters(e).items())
+    effect = find_effect(e.name, wording)
+    about = "" if effect.description == effect.title else f", {effect.description}"
+    return (
+        f"Missing: {effect_name(e.name, wording)}{about}. "
+        f"Estimated, with 95 % intervals: {found}. Probability that chance improves the fit as much: p ≤ {e.p:.2g}."
+    )
+
+
+def _without_name(facts: Facts) -> Iterator[str]:
+    if facts.verdict == "none":
+        yield "No effect of the catalogue improves the fit by more than chance does, and by enough to matter."
+    if facts.unidentified:
+        yield (
+            f"The output hardly follows the input: these records do not determine {listed(facts.unidentified, 'or')}, and so "
+            "cannot show what is missing. Check the columns in [input] and [output], or give records with more motion."
         )
-    elif verdict == "not_identifiable":
-        why = "too many effects explain it alike" if ties else "the records are too poor to tell what"
-        lines.append(f"Something is missing, but {why}: these records do not name it.")
-    rms = [math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)]
-    most = "at most " if remains.flag else ""  # what is unexplained looks like noise
-    alone = f"disturbance and sensor alone give {most}{rms[2]:.3g} {gap.output_unit}"
+    elif facts.verdict == "not_identifiable":
+        why = "too many effects explain it equally well" if facts.ties else "the motion in the records is too uniform"
+        yield f"Something is missing, but these records cannot identify it: {why}."
+
+
+def _error(facts: Facts) -> str:
+    """Return the line on the error of the output."""
+    gap = facts.gap
+    before, after, floor = (
+        math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)
+    )
+    most = "at most " if facts.remains.flag else ""  # an unexplained residual is partly taken for noise
+    alone = f"disturbance and sensor noise alone account for {most}{floor:.3g} {gap.output_unit}"
     if gap.noise_floor is None:
-        alone = "disturbance and sensor alone give less, but how much less is not known"
-    elif rms[2] >= rms[1]:
-        alone = "disturbance and sensor alone give as much"
-    if effects:
-        fallen = f"falls from {rms[0]:.3g} to {rms[1]:.3g} {gap.output_unit}; {alone}"
-        if rms[1] >= rms[0]:
-            fallen = f"does not fall ({rms[0]:.3g} {gap.output_unit} before, {rms[1]:.3g} {gap.output_unit} after): {OUTLIER_NOTE}"
-        lines.append(f"On stretches kept from the search the rms error of the output {fallen}.")
+        alone = "disturbance and sensor noise alone account for less; how much less is not known"
+    elif floor >= after:
+        alone = "disturbance and sensor noise alone account for as much"
+    if not facts.effects:
+        return f"The rms error of the output on held-out segments is {before:.3g} {gap.output_unit} after a refit; {alone}."
+    changes = f"falls from {before:.3g} to {after:.3g} {gap.output_unit}; {alone}"
+    if after >= before:
+        changes = f"does not fall ({before:.3g} {gap.output_unit} before, {after:.3g} {gap.output_unit} after): {OUTLIER_NOTE}"
+    return f"The rms error of the output on held-out segments {changes}."
+
+
+def unexplained_lines(left: Unexplained, wording: Wording, open_tie: bool) -> Iterator[str]:
+    """Give a line on the residual that is unexplained, if there is one; with an open tie none of its members was added."""
+    if not left.flag:
+        return
+    if left.view is None:
+        said = (
+            f"a random disturbance of {left.disturbance:.0%} of the {wording.torque} of the input is needed to fit the records, "
+            "and no motion variable predicts it"
+        )
+    elif left.view == OUTLIERS and left.label:
+        said = f"{left.share:.0%} of the residual's power is in outlier segments ({left.label})"
     else:
-        lines.append(f"The rms error of the output is {rms[0]:.3g} {gap.output_unit} with refitted parameters; {alone}.")
-    if remains.flag:
-        follows = f"{remains.share:.0%} of the residual follows {view_name(remains.view or '', remains.label)}"
-        if remains.view == OUTLIERS and remains.label:
-            follows = f"{remains.share:.0%} of the residual lies in {remains.label}"
-        taken = f"it would take a disturbance of {remains.disturbance:.0%} of the input's torque, and no view shows where it lives"
-        shows = taken if remains.view is None else follows
-        without = "Without any of these" if ties and not effects else "Something remains that none of the effects explains"
-        lines.append(f"{without}: {shows}.")
-    return (*lines, *_at_ends(base))
+        said = f"{left.share:.0%} of the residual can be predicted from {view_name(left.view, left.label)}"
+    end = "with none of the tied effects added" if open_tie else "and no effect of the catalogue explains it"
+    yield f"Unexplained residual: {said}, {end}."
 
 
-def _at_ends(base: Mapping[str, Estimate]) -> Iterator[str]:
+def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:
     """Give a line each on parameters of the model and of effects that end at a bound; only the former have one in [bounds]."""
-    stuck = [name for name, estimate in base.items() if estimate.at_bound]
+    stuck = [name for name, estimate in parameters.items() if estimate.at_bound]
     own = [name for name in stuck if name.split(".")[0] not in all_effects()]
     if own:
         yield f"The refit of {', '.join(own)} ends at a bound: widen it in [bounds], or check units and signs."
     if others := [name for name in stuck if name not in own]:
-        yield f"{', '.join(others)} at the end of what may be: a limit, no estimate; the effect may be there for something else."
+        yield (
+            f"{', '.join(others)} ends at the limit of its interval: that is a limit, not an estimate; the effect may stand in "
+            "for another one."
+        )
+
+
+def experiment(facts: Facts) -> str:
+    """Return what to measure next, or an empty text."""
+    named, left = bool(facts.effects), facts.remains
+    lines = []
+    if facts.narrow and named:
+        lines = [f"In such records other effects look much alike, so confirm the name with better ones: {facts.narrow}."]
+    elif facts.narrow:
+        lines = [f"Nothing can be named with certainty from such records: {facts.narrow}."]
+    for tie in facts.ties:
+        known = separation(tie, facts.wording)
+        each = "; ".join(f"for {effect_name(n, facts.wording)}: {find_effect(n, facts.wording).excitation}" for n in tie)
+        lines.append(f"To distinguish {effects_listed(tie, 'from', facts.wording)}: {known or each}.")
+    if left.flag and (named or not facts.ties):
+        lines.append(_search_further(left))
+    return " ".join(lines)
+
+
+def _search_further(left: Unexplained) -> str:
+    """Return what to record to find what a residual comes from."""
+    if left.view is None:
+        return "Look for a loose part, and measure on its other side too; and log all that acts on the axis."
+    if left.view in REPEAT_ADVICE:
+        return REPEAT_ADVICE[left.view]
+    if left.view == OUTLIERS:
+        return "Record again what happens in the outlier segments, and little else, to find what is unexplained there."
+    return f"Record motion that varies {view_name(left.view)} most, and all else little, to find what is unexplained there."
+
+
+# -- what was not found --------------------------------------------------------------------------------------------------
+def undetected(
+    found: Sequence[Undetected], model: Model | None, tied: Collection[str] = (), added: str = "", drifting: bool = False
+) -> dict[str, str]:
+    """Return for each effect that was not found how large it may be without being detected.
+
+    `tied` are the effects that were found or are in a tie, which are left out; `added` is the one that was added after these
+    were tried. With `drifting` it is not known where the positions of the records are relative to each other.
+    """
+    texts = {}
+    for each in found:
+        if each.name in tied:
+            continue
+        text = _undetected(each, model, added)
+        if drifting and not each.reason and find_effect(each.name).position_dependent:
+            text += "; all this if the records start at the same position"
+        texts[each.name] = text
+    return texts
+
+
+def _undetected(each: Undetected, model: Model | None, added: str) -> str:
+    wording = model.wording if model is not None else ROTARY
+    effect = find_effect(each.name, wording)
+    needs = f"what shows it: {effect.excitation}"
+    if each.reason:
+        return each.reason
+    if each.gain is not None and added:
+        return f"before {effect_name(added, wording)} was added it gained {each.gain:.0f} nats; beside that nothing shows it"
+    if each.gain is not None:
+        return (
+            f"something like it shows (gain {each.gain:.0f} nats), but too little of it, or not in the range that the search allows"
+        )
+    if each.confounded:
+        return f"these records cannot distinguish it from {', '.join(each.confounded)}; {needs}"
+    if not each.measurable:
+        return f"tried, and no trace of it; {needs}"
+    if each.limit is None:
+        return f"these records cannot show it; {needs}"
+    strength = effect.parameters[0]
+    unit = "1" if model is None else model.unit(strength.name)
+    return f"{strength.description}: more than {each.limit:.2g}{'' if unit == '1' else ' ' + unit} would have been detected"

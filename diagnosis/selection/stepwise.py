@@ -158,7 +158,7 @@ def _null(problem: Problem, response: ResidualResponse, fit: Fit, tried: Sequenc
 
 def residual_has_structure(fitted: FittedModel, dataset: Dataset, verdict: SearchRound, taken: set[str]) -> bool:
     """True if a view shows something in the residual, or the directions of an effect that was tried before."""
-    if any(share.p <= STRUCTURE_P and share.view not in SENSOR_VIEWS for share in views_of(fitted, dataset)[0]):
+    if any(share.p <= STRUCTURE_P and share.view not in SENSOR_VIEWS for share in views_of(fitted, dataset)):
         return True
     response, classes = response_of(fitted, dataset), {group(name) for name in taken}
     for c in verdict.candidates:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Gap, Named, Remains, Round, Trace, View
+from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Gap, Named, Round, Trace, View
 
 Array = NDArray[np.float64]
 
@@ -145,7 +146,7 @@ def named() -> Diagnosis:
         ),
         ties=(), experiment="A slow pass over several turns would fix the second harmonic.",
         where=(position_view(0.06, 0.61), velocity_view(0.05)),
-        remains=Remains(False, None, 0.03),
+        remains=Unexplained(False, None, 0.03),
         gap=Gap(8.2e-6, 1.1e-7, 9.4e-8, "rad"),
         excitation=EXCITATION,
         findings=("run_2.csv: 3 samples were missing at 4.21 s; the segments around them are left out.",),
@@ -192,7 +193,7 @@ def none() -> Diagnosis:
     return replace(
         named(), verdict="none",
         statement=("No effect of the 22 explains the difference.", "Something remains: it follows time, not the motion."),
-        effects=(), where=(view,), remains=Remains(True, "t", 0.41), gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad"),
+        effects=(), where=(view,), remains=Unexplained(True, "t", 0.41), gap=Gap(9.0e-7, 9.0e-7, 1.0e-7, "rad"),
         experiment="Record again with the fan and the neighbouring axis switched off.",
         rounds=(Round(candidates, 9.8, 0.31, None, "stopped: nothing above chance"),),
         parameters={}, findings=(), traces=(trace("run_1.csv", 1, lambda theta, t: float(0.04 * np.sin(12 * t)), explained=False),),
@@ -206,7 +207,7 @@ def not_identifiable() -> Diagnosis:
     return replace(
         named(), verdict="not_identifiable",
         statement=("The axis moved 3 mm at one speed: mass, viscous and dry friction cannot be told apart.",),
-        effects=(), where=(), remains=Remains(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m"),
+        effects=(), where=(), remains=Unexplained(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m"),
         experiment="Move at three speeds or more, with reversals, over 50 mm.",
         base={
             "J": estimate(6.0, "kg", at_bound=True), "a2": estimate(7.0, "N.s/m", 80),
@@ -225,7 +226,7 @@ def not_identifiable() -> Diagnosis:
 def proposals() -> Diagnosis:
     """An input with the wrong sign."""
     return replace(
-        none(), verdict="not_identifiable", remains=Remains(False, None, 0.0),
+        none(), verdict="not_identifiable", remains=Unexplained(False, None, 0.0),
         statement=("The input does not fit the motion, so nothing was searched.",),
         proposals=(
             "run_1.csv, column u: the acceleration answers to −u (correlation −0.94); turn its sign, or that of theta.",

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.conclusion import choices_of, known_floor, unidentified_parameters, unnamed
-from bristle.diagnosis.report.result import Estimate, Gap, Remains
+from bristle.diagnosis.localisation.unexplained import Unexplained
+from bristle.diagnosis.report.result import Estimate, Gap
 from bristle.diagnosis.report.text import undetected
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound
+from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
 
 UNIFORM = "one oscillation"
-QUIET, LEFT = Remains(False, None, 0.0), Remains(True, "theta", 0.5)
+QUIET, LEFT = Unexplained(False, None, 0.0), Unexplained(True, "theta", 0.5)
 
 
 def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False) -> SearchRound:
@@ -41,7 +43,7 @@ def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: boo
         (round_of("bias", withdrawn=True), UNIFORM, LEFT, "not_identifiable"),
     ],
 )
-def test_verdict_without_a_name(last: SearchRound, narrow: str, left: Remains, verdict: str) -> None:
+def test_verdict_without_a_name(last: SearchRound, narrow: str, left: Unexplained, verdict: str) -> None:
     assert unnamed(last, narrow, left) == verdict
 
 
@@ -81,19 +83,21 @@ def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() ->
     assert names([last], (), ()) == []
 
 
-def test_what_was_found_or_ties_is_not_told_as_undetected(case) -> None:
+def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
     """And what gained before another was added shows no more beside that."""
     fitted = case(None).base
     tried = [Candidate(name, fitted.fit) for name in ("bias", "gravity", "cogging")]
     null, model = Null(np.zeros(1), {}), case(None).model
-    told = undetected(tried, null, fitted.fit.total - 50, ("bias",), model)
-    assert list(told) == ["gravity", "cogging"]
-    assert "something like it shows (gain 50 nats)" in told["gravity"]
-    assert undetected(tried, null, fitted.fit.total - 50, ("bias", "gravity"), model, "bias") == {
-        "cogging": "before bias was added it gained 50 nats; beside that nothing shows it"
+    base = fitted.fit.total - 50
+    found = detection_limits(tried, null, base)
+    lines = undetected(found, model, ("bias",))
+    assert list(lines) == ["gravity", "cogging"]
+    assert "something like it shows (gain 50 nats)" in lines["gravity"]
+    assert undetected(found, model, ("bias", "gravity"), "bias") == {
+        "cogging": "before constant torque (bias) was added it gained 50 nats; beside that nothing shows it"
     }
-    adrift = undetected([*tried, Candidate("stribeck", fitted.fit)], null, fitted.fit.total - 50, (), model, adrift=True)
-    assert ["begin at the same position" in adrift[name] for name in ("gravity", "cogging", "bias", "stribeck")] == [1, 1, 0, 0]
+    drifting = undetected(detection_limits([*tried, Candidate("stribeck", fitted.fit)], null, base), model, drifting=True)
+    assert ["start at the same position" in drifting[name] for name in ("gravity", "cogging", "bias", "stribeck")] == [1, 1, 0, 0]
 
 
 def test_no_noise_floor_is_given_where_it_is_not_known():

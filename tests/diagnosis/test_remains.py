@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
-from bristle.diagnosis.localisation.unexplained import unexplained
+from bristle.diagnosis.localisation.unexplained import FinalModel, unexplained
 from bristle.diagnosis.localisation.views import Share
 from bristle.diagnosis.report.result import Gap
 
@@ -14,9 +14,10 @@ TURN = 2 * np.pi
 HALF = Gap(2.0, 1.0, 0.1, "rad")  # an effect was named that left half of the error
 
 
-def said(share, *named, gap=HALF, turn=TURN, odd=False, disturbance=0.0, **values):
-    """What remains of a residual in which one view shows."""
-    return unexplained([share, Share("t", 0.01, 1.0)], values, named, gap, turn, gap.before / gap.after, odd, disturbance)
+def said(share, *named, gap=HALF, turn=TURN, outliers=False, disturbance=0.0, **values):
+    """What is unexplained of a residual that one view predicts."""
+    model = FinalModel(named, values, turn, gap.left, gap.before / gap.after, outliers, disturbance)
+    return unexplained([share, Share("t", 0.01, 1.0)], model)
 
 
 def test_what_is_sure_and_large_remains_in_whatever_view():
@@ -37,10 +38,10 @@ def test_what_is_left_is_measured_by_the_gap_there_was(share, flag):
 
 @pytest.mark.parametrize(("share", "flag"), [(0.07, False), (0.09, True)])
 def test_less_is_enough_where_a_stretch_is_far_off(share, flag):
-    assert said(Share("tone", share, 0.02), odd=True).flag is flag
+    assert said(Share("tone", share, 0.02), outliers=True).flag is flag
     assert not said(Share("tone", share, 0.02)).flag
-    assert not said(Share("tone", share, 0.05), odd=True).flag
-    assert not said(Share("tone", share, 0.02), "gravity", odd=True).flag
+    assert not said(Share("tone", share, 0.05), outliers=True).flag
+    assert not said(Share("tone", share, 0.02), "gravity", outliers=True).flag
 
 
 @pytest.mark.parametrize(("disturbance", "flag"), [(0.11, False), (1.8, True)])

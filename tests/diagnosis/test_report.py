@@ -14,12 +14,16 @@ import pytest
 
 from bristle.common.drawing import RED
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
-from bristle.diagnosis.report.figures import Rig, draw, telling
+from bristle.diagnosis.localisation.unexplained import Unexplained
+from bristle.diagnosis.report.figures import Rig, draw, worst_part
 from bristle.diagnosis.report.html import interval, render
-from bristle.diagnosis.report.result import Estimate, Gap, Named, Remains, Trace
-from bristle.diagnosis.report.text import experiment, on_axis, statement, told_parameters, undetected, value, view_name
+from bristle.diagnosis.report.result import Estimate, Gap, Named, Trace
+from bristle.diagnosis.report.text import Facts, experiment, reported_parameters, statement, undetected, value, view_name
 from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
+from bristle.plant.effects import effect
+from bristle.plant.wording import Wording
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
 VOID = {"meta", "img", "br"}
@@ -82,14 +86,14 @@ def test_json_is_complete_and_holds_no_nan(answer, case):
 
 def test_a_named_effect_comes_with_its_parameters_and_the_shrink(answer):
     text = text_of(page_of(answer("named")))
-    assert "The model lacks cogging" in text
+    assert "The model lacks: cogging torque (cogging)" in text
     assert "amplitude amplitude of the first term 0.0600 ± 0.0018 N·m" in text
     assert "shrank by 99.8 %" in text
     assert "coulomb.Fc N·m 0.1 0.1270 ± 0.0038 0.12000 ± 0.00084" in text
 
 
 def test_where_something_remains_the_gap_shrank_by_at_most_so_much(answer):
-    flagged = replace(answer("named"), remains=Remains(True, "theta", 0.4))
+    flagged = replace(answer("named"), remains=Unexplained(True, "theta", 0.4))
     text = text_of(page_of(flagged))
     assert "shrank by at most 99.8 %" in text
     assert "the mean squared error was at least" in text
@@ -101,57 +105,59 @@ def test_a_gap_that_did_not_shrink_is_not_said_to_fall(answer):
     worse = replace(named, gap=Gap(1.1e-6, 1.3e-6, 1.3e-6, "rad"))
     text = text_of(page_of(worse))
     assert "the error did not fall" in text
-    assert "shrank" not in text.split("Before and after")[0].split("The gap")[1]
-    said = statement("named", named.effects, (), worse.gap, worse.remains, {})
+    assert "shrank" not in text.split("Before and after")[0].split("Error of the model")[1]
+    said = statement(Facts("named", worse.gap, worse.remains, named.effects))
     assert any("does not fall (0.00105 rad before, 0.00114 rad after)" in line for line in said)
-    said = statement("named", named.effects, (), named.gap, named.remains, {})
+    said = statement(Facts("named", named.gap, named.remains, named.effects))
     assert any("falls from 0.00286 to 0.000332" in line for line in said)
 
 
 def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
     none = answer("none")
     unknown = replace(none, gap=replace(none.gap, noise_floor=None))
-    [line] = statement("none", (), (), unknown.gap, unknown.remains, {})[1:2]
-    assert line.endswith("disturbance and sensor alone give less, but how much less is not known.")
+    [line] = statement(Facts("none", unknown.gap, unknown.remains))[1:2]
+    assert line.endswith("disturbance and sensor noise alone account for less; how much less is not known.")
     assert not any("floor" in text for text in svg_texts(draw(unknown)["gap"]))
     assert "noise floor at most 0.0181 deg" in [text.strip() for text in svg_texts(draw(none)["gap"])]
-    assert "floor" not in text_of(page_of(unknown))
+    assert "The noise floor, which disturbance and sensor noise alone would leave, is not known." in text_of(page_of(unknown))
 
 
 def test_what_remains_is_what_the_table_above_it_says(answer):
     named = answer("named")
     noisy = replace(named.where[1], view="du", share_after=0.08, p_after=0.001)
-    text = text_of(page_of(replace(named, where=(named.where[0], noisy), remains=Remains(False, "history", 0.04))))
-    assert "Nothing that stands out beside the gap there was: rate of the input predicts 8 % of the residual that is left" in text
-    assert "no view predicts more of the residual than chance gives" in text_of(page_of(named))
+    text = text_of(page_of(replace(named, where=(named.where[0], noisy), remains=Unexplained(False, "history", 0.04))))
+    assert "Nothing that matters: rate of the input predicts 8 % of the residual that is left" in text
+    assert "no motion variable predicts more of the residual than chance does" in text_of(page_of(named))
 
 
 def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):
-    tie, left = answer("tie"), Remains(True, "theta", 0.54)
-    without = "Without any of these: 54% of the residual follows position."
-    assert without in statement("tie", (), tie.ties, tie.gap, left, {})
-    assert without in statement("not_identifiable", (), tie.ties, tie.gap, left, {})
-    assert "with none of these effects added" in text_of(page_of(replace(tie, remains=left)))
+    tie, left = answer("tie"), Unexplained(True, "theta", 0.54)
+    without = "Unexplained residual: 54% of the residual can be predicted from position, with none of the tied effects added."
+    assert without in statement(Facts("tie", tie.gap, left, ties=tie.ties))
+    assert without in statement(Facts("not_identifiable", tie.gap, left, ties=tie.ties))
+    assert "with none of the tied effects added" in text_of(page_of(replace(tie, remains=left)))
     named = answer("named")
-    after = statement("named", named.effects, tie.ties, named.gap, left, {})
-    assert "Something remains that none of the effects explains: 54% of the residual follows position." in after
+    after = statement(Facts("named", named.gap, left, named.effects, tie.ties))
+    assert any(line.endswith("from position, and no effect of the catalogue explains it.") for line in after)
 
 
 def test_a_tone_is_told_with_its_frequency_and_how_to_look_for_it(answer):
-    tone = Remains(True, "tone", 0.9, 0.0, "3 Hz")
-    assert "90% of the residual follows tone in time (3 Hz)." in " ".join(statement("none", (), (), answer("none").gap, tone, {}))
-    assert "tone in time (3 Hz)" in text_of(page_of(replace(answer("none"), remains=tone)))
-    assert "with the input at zero" in experiment((), tone, "")
-    assert "with the input at zero" not in experiment((("bias", "gravity"),), tone, "")  # what is left is that of the tie
-    few = Remains(True, OUTLIERS, 0.7, 0.0, "16 of 180 stretches, the worst at 1.4 s")
-    assert "70% of the residual lies in 16 of 180 stretches" in " ".join(statement("none", (), (), answer("none").gap, few, {}))
+    tone = Unexplained(True, "tone", 0.9, 0.0, "3 Hz")
+    facts = Facts("none", answer("none").gap, tone)
+    assert "90% of the residual can be predicted from oscillation in time (3 Hz)" in " ".join(statement(facts))
+    assert "oscillation in time (3 Hz)" in text_of(page_of(replace(answer("none"), remains=tone)))
+    assert "with the input at zero" in experiment(facts)
+    assert "with the input at zero" not in experiment(replace(facts, ties=(("bias", "gravity"),)))
+    few = Unexplained(True, OUTLIERS, 0.7, 0.0, "16 of 180 segments, the worst at 1.4 s")
+    said = " ".join(statement(replace(facts, remains=few)))
+    assert "70% of the residual's power is in outlier segments (16 of 180 segments, the worst at 1.4 s)" in said
 
 
 def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
     first, second = answer("named").where
-    burst = replace(first, view=OUTLIERS, label="3 of 75 stretches, the worst at 0.5 s", share=0.99)
+    burst = replace(first, view=OUTLIERS, label="3 of 75 segments, the worst at 0.5 s", share=0.99)
     text = text_of(page_of(replace(answer("named"), where=(replace(first, share=1.0, p=0.9), second, burst))))
-    assert text.index("far off: 3 of 75 stretches") < text.index("velocity 5 %") < text.index("position 100 %")
+    assert text.index("outlier segments (3 of 75 segments") < text.index("velocity 5 %") < text.index("position 100 %")
 
 
 def test_a_record_may_have_any_name(answer, recwarn):
@@ -172,8 +178,8 @@ def test_a_proposal_is_no_fit(answer):
     text = text_of(render(diagnosis, draw(diagnosis), {}))
     assert "of the model as it was given" in text
     assert "took no part in the search" not in text
-    assert "the gap that closed" not in text
-    assert "refitted alone" not in text
+    assert "Before and after" not in text
+    assert "refitted without effects" not in text
 
 
 def test_excitation_is_a_table_in_words_with_its_caveats(answer):
@@ -192,23 +198,23 @@ def test_a_parameter_at_its_bound_is_flagged(answer):
 def test_a_tie_says_what_separates_it_before_anything_else(answer):
     diagnosis = answer("tie")
     text = text_of(page_of(diagnosis))
-    assert "bias or asymmetric_coulomb" in text
-    assert text.index(diagnosis.experiment) < text.index("The gap")
+    assert "constant torque (bias) or direction-dependent dry friction (asymmetric_coulomb)" in text
+    assert text.index(diagnosis.experiment) < text.index("Error of the model")
     assert "--choose NAME" in text
     chosen = text_of(page_of(diagnosis, choose="bias"))
-    assert "Chosen by hand for the augmented model: bias" in chosen
-    assert "refitted with bias (chosen)" in chosen
+    assert "Chosen by hand for the augmented model: constant torque (bias)" in chosen
+    assert "with bias (chosen)" in chosen
 
 
 def test_what_remains_is_an_alarm_only_when_flagged(answer):
-    assert '<p class="alarm">Something remains: 41 %' in page_of(answer("none"))
-    assert "Something remains" not in page_of(answer("named"))
+    assert '<p class="alarm">Unexplained residual: 41%' in page_of(answer("none"))
+    assert "Unexplained residual:" not in page_of(answer("named"))
 
 
 def test_proposals_stand_above_all_figures(answer):
     page = render(answer("proposals"), draw(answer("proposals")), {})
-    assert page.index("Mend this first") < page.index("<img")
-    assert "First mend the data" in page
+    assert page.index("Correct this first") < page.index("<img")
+    assert "First correct the data" in page
 
 
 def test_what_could_not_be_written_is_said_at_the_top(answer):
@@ -263,9 +269,9 @@ def test_only_what_changed_has_a_before_and_an_after(answer):
 def test_bars_show_the_level_of_chance_and_the_best_first(answer):
     texts = svg_texts(draw(answer("named"))["candidates"])
     names = [text.split("  ")[0] for text in texts if "  " in text]
-    assert names[0] == "cogging"
-    assert "round 1: cogging added; 3 more gain less" in texts
-    assert "hard_stop  41  (stiffness at its bound)" in texts
+    assert names[0] == "cogging torque (cogging)"
+    assert "round 1: cogging torque (cogging) added; 3 more gain less" in texts
+    assert "hard stop of the range (hard_stop)  41  (stiffness at its bound)" in texts
 
 
 @pytest.mark.parametrize(("output", "squared"), [("m", "m2"), ("rad/s", "(rad/s)2")])
@@ -278,7 +284,7 @@ def test_an_effect_that_was_not_tried_has_no_gain_and_a_short_reason(answer):
     refused = replace(named.rounds[0].candidates[-1], gain=math.nan, note="effects 'backlash' and 'compliance' " + 9 * "a load ")
     rounds = (replace(named.rounds[0], candidates=(*named.rounds[0].candidates[:1], refused)),)
     [text] = [text for text in svg_texts(draw(replace(named, rounds=rounds))["candidates"]) if "not tried" in text]
-    assert text.startswith(f"{refused.name}  not tried  (effects 'backlash'")
+    assert text.startswith(f"drift of the friction ({refused.name})  not tried  (effects 'backlash'")
     assert text.endswith("…)")
 
 
@@ -308,21 +314,21 @@ def test_the_overlay_shows_where_it_was_worst():
     error[::7] = np.nan
     quiet = Trace("quiet", time, still, still, 0.2 * still, still, still > 0)
     loud = Trace("loud", time, still, still, error, still, still > 0)
-    found = telling([quiet, loud], 2.0)
+    found = worst_part([quiet, loud], 2.0)
     assert found is not None
     trace, part = found
     assert trace.name == "loud"
     assert time[part][0] <= 6.0
     assert time[part][-1] >= 6.99
     assert len(time[part]) == 2000
-    assert telling([]) is None
-    assert telling([replace(loud, before=np.full(10_000, np.nan))]) is None
+    assert worst_part([]) is None
+    assert worst_part([replace(loud, before=np.full(10_000, np.nan))]) is None
 
 
 def test_a_record_shorter_than_the_window_is_shown_whole(answer):
     trace = answer("named").traces[0]
     short = replace(trace, **{k: getattr(trace, k)[:300] for k in ("time", "input", "measured", "before", "after", "held_out")})
-    found = telling([short])
+    found = worst_part([short])
     assert found is not None
     assert found[1] == slice(0, 300)
 
@@ -365,28 +371,33 @@ def test_a_sentence_gives_the_digits_that_the_interval_calls_for(estimate, expec
 
 def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
     [cogging] = answer("named").effects
-    assert list(told_parameters(cogging)) == ["amplitude", "phase", "periods"]
+    assert list(reported_parameters(cogging)) == ["amplitude", "phase", "periods"]
     there = {**cogging.parameters, "amplitude2": Estimate(0.01, "N.m", (0.009, 0.011))}
-    assert list(told_parameters(replace(cogging, parameters=there))) == list(cogging.parameters)
+    assert list(reported_parameters(replace(cogging, parameters=there))) == list(cogging.parameters)
     sine, cosine = Estimate(0.01, "1", (-0.01, 0.03)), Estimate(0.1, "1", (0.08, 0.12))
     unbent = Named("gravity", "", {"amplitude": cosine, "sine2": sine, "cosine2": sine}, 9.0, 0.1)
-    assert list(told_parameters(unbent)) == ["amplitude"]
+    assert list(reported_parameters(unbent)) == ["amplitude"]
     bent = replace(unbent, parameters={**unbent.parameters, "cosine2": cosine})
-    assert list(told_parameters(bent)) == ["amplitude", "sine2", "cosine2"]
+    assert list(reported_parameters(bent)) == ["amplitude", "sine2", "cosine2"]
 
 
 def test_words_are_those_of_the_axis_and_of_its_input():
-    line = "Missing: constant torque (bias); torque 0.06 N; bias.torque at the end of what may be"
-    assert on_axis(line, False, "torque") == line
-    assert on_axis(line, True, "force") == "Missing: constant force (bias); force 0.06 N; bias.torque at the end of what may be"
-    assert on_axis("voltage over speed", False, "torque") == "torque over speed"
-    assert on_axis("voltage over speed", False, "voltage") == "voltage over speed"
+    bias = Named("bias", "bias", {"torque": Estimate(0.06, "N", (0.05, 0.07), at_bound=True)}, 9.0, 0.001)
+    gap, left = Gap(2.0, 1.0, 0.5, "m"), Unexplained(True, None, 0.4, 0.6)
+    facts = Facts("named", gap, left, [bias], [("bias", "asymmetric_coulomb")], {"bias.torque": bias.parameters["torque"]})
+    turning = " ".join(statement(facts)) + experiment(facts)
+    assert "Missing: constant torque (bias). " in turning
+    assert "60% of the torque of the input" in turning
+    assert "a constant torque stays what it is" in turning
+    facts = replace(facts, wording=Wording(linear=True, input_kind="force"))
+    linear = " ".join(statement(facts)) + experiment(facts)
+    assert re.findall(r"\S*torque", linear) == ["torque", "bias.torque"]  # names of parameters
+    assert effect("back_emf", Wording(input_kind="current")).description == "current that the turning motor takes from the drive"
 
 
 def test_what_was_not_found_is_not_said_to_need_what_the_records_have():
-    tried = Candidate("backlash", SimpleNamespace(total=0.0, free=()))
-    found = undetected([tried], Null(np.zeros(1), {}), 0.0, (), model=None)
-    assert found == {"backlash": "tried, and no trace of it; what shows it: reversals"}
+    [found] = detection_limits([Candidate("backlash", SimpleNamespace(total=0.0, free=()))], Null(np.zeros(1), {}), 0.0)
+    assert undetected([found], None) == {"backlash": "tried, and no trace of it; what shows it: reversals"}
 
 
 def test_a_linear_axis_has_no_torque(answer):

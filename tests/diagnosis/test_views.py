@@ -77,7 +77,7 @@ def test_stretches_that_are_far_off_are_seen_as_such(plain):
     assert found[0].view == OUTLIERS
     assert found[0].share > 0.9
     assert found[0].p < 1e-3
-    assert found[0].label.startswith(f"3 of {len(live)} stretches")
+    assert found[0].label.startswith(f"3 of {len(live)} segments")
 
 
 def test_the_same_residual_is_judged_the_same(plain):
