@@ -9,6 +9,8 @@ from functools import cache
 
 from bristle.common.errors import BristleError
 
+__all__ = ["Unit", "convert", "parse_unit", "per_second", "quantity"]
+
 BASE = ("kg", "m", "s", "A", "rad")  # the SI base units (and rad) that FMI's BaseUnit knows and this field needs
 
 _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {

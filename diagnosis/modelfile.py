@@ -121,6 +121,11 @@ def must_be_model(model: object) -> None:
 def load_model(path: Path | str) -> Model:
     """Read and check a model file.
 
+    Parameters
+    ----------
+    path : path
+        TOML file with the friction law, parameters, bounds and columns of the records.
+
     Raises
     ------
     BristleError

@@ -73,10 +73,14 @@ def build(
     effects: Sequence[str] = (),
     parameters: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write the FMU `what` (plant, observer or controller) to the file `out`.
+    """Write an FMU to a file.
 
     Parameters
     ----------
+    what : {"plant", "observer", "controller"}
+        Which FMU.
+    out : Path
+        The file.
     fmi : int
         2 or 3.
     kind : str
@@ -125,7 +129,18 @@ def obtain(
     effects: Sequence[str] = (),
     parameters: Mapping[str, float] | None = None,
 ) -> Path:
-    """Return the FMU as a file of the cache, built only if it is not there; arguments as of `build`."""
+    """Return an FMU as a file of the cache, built only if it is not there.
+
+    Parameters
+    ----------
+    what, fmi, kind, law, method, effects, parameters
+        As of `build`.
+
+    Raises
+    ------
+    BristleError
+        As of `build`.
+    """
     variant = _check(what, fmi, kind, law, method, effects)
     key = _key(kind, what, fmi, variant, *sorted(effects), *sorted((parameters or {}).items()))
     name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])

@@ -1,1 +1,3 @@
 """Scenarios, co-simulation, metrics, verdicts, reports."""
+
+__all__: list[str] = []

@@ -1,1 +1,3 @@
 """Ground floor: parameters, systems of equations, integrators, generators."""
+
+__all__: list[str] = []

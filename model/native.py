@@ -17,6 +17,8 @@ from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_ident
 from bristle.model.program import Program
 from bristle.model.sources import c_sources, fingerprint
 
+__all__ = ["Native"]
+
 Array = NDArray[np.float64]
 
 

@@ -23,6 +23,8 @@ from bristle.model.switching import at_the_point
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
 from bristle.model.variables import Parameter, State, Variable
 
+__all__ = ["Program"]
+
 SX = ca.SX
 
 

@@ -11,6 +11,8 @@ import casadi as ca
 from bristle.common.errors import BristleError
 from bristle.model.variables import Namespace, Parameter, State, Variable
 
+__all__ = ["DryRow", "System"]
+
 SX = ca.SX
 
 SAMPLE_TIME = Parameter("sample_time", "Ts", "s", 1e-3, 1e-6, 1.0, "sampling period", "dixit2008 section IV-C")

@@ -9,6 +9,8 @@ from typing import Any, Protocol, TypeVar
 
 from bristle.common.errors import BristleError
 
+__all__ = ["Named", "Namespace", "Parameter", "State", "Variable", "unique"]
+
 
 class Named(Protocol):
     """Anything with a name."""

@@ -10,6 +10,8 @@ from bristle.model.program import Program
 from bristle.model.variables import unique
 from bristle.observer.method import Method, observer
 
+__all__ = ["methods", "observer_program"]
+
 
 def methods() -> dict[str, Method]:
     """Return all methods by name, in alphabetical order of their files."""

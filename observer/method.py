@@ -12,6 +12,20 @@ from bristle.model.normalised import NORMALISED
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Namespace, Parameter, State, Variable
 
+__all__ = [
+    "EquationContext",
+    "Method",
+    "Sample",
+    "Update",
+    "observer",
+    "stack",
+    "stack_symmetric",
+    "symmetric_states",
+    "unstack",
+    "unstack_symmetric",
+    "vector_states",
+]
+
 SX = ca.SX
 
 SIGNALS = {

@@ -1,1 +1,3 @@
 """The servo: drive, friction law, encoder."""
+
+__all__: list[str] = []

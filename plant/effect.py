@@ -16,6 +16,8 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
 from bristle.plant.wording import Wording
 
+__all__ = ["Context", "Coupling", "Effect", "Evidence", "power"]
+
 SX = ca.SX
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -9,6 +9,8 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
 
+__all__ = ["Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth"]
+
 SX = ca.SX
 NEGLIGIBLE = 0.05  # of Coulomb friction: what is left of the Stribeck effect where step 1 may look
 

@@ -19,6 +19,8 @@ from bristle.plant.friction import law as find_law
 from bristle.plant.friction import laws
 from bristle.plant.law import FrictionLaw
 
+__all__ = ["servo", "servo_program"]
+
 SX = ca.SX
 
 J = Parameter("J", "J", "kg.m2", 0.001, 1e-9, 1e6, "inertia", "dixit2008 eq. (7), section IV-A")

@@ -1,1 +1,3 @@
 """The shipped scenario files."""
+
+__all__: list[str] = []

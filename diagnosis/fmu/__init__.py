@@ -1,1 +1,3 @@
 """A plant FMU as the model."""
+
+__all__: list[str] = []

@@ -20,6 +20,11 @@ def fmu_model(path: Path) -> Model:
 
     Records have the columns t [s], u [V] and theta [rad], or v [rad/s] if the FMU has no theta.
 
+    Parameters
+    ----------
+    path : Path
+        Plant FMU with the parameters J, a2 and b.
+
     Raises
     ------
     BristleError

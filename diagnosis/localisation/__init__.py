@@ -1,1 +1,3 @@
 """Where the residual is, and whether something is left unexplained."""
+
+__all__: list[str] = []

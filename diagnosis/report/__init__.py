@@ -1,1 +1,3 @@
 """The answer: result, sentences, figures, page, files."""
+
+__all__: list[str] = []

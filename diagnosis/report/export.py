@@ -47,6 +47,10 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
 
     Parameters
     ----------
+    diagnosis : Diagnosis
+        From `diagnose` or `diagnose_fmu`.
+    out : Path
+        The folder; created if it is missing.
     choose : str, optional
         Member of a tie to take as if it had been named.
 

@@ -114,15 +114,54 @@ class Trace:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The whole answer; `to_dict` gives the content of diagnosis.json.
+    """The result of a diagnosis; `to_dict` gives the content of diagnosis.json.
 
-    `findings` are lines of intake and plausibility (what, where, what to do); `statement` is the answer in sentences.
-    `excitation`: what the records excite, as plain numbers (ranges of input, speed and position in SI, shares of the time at
-    rest, forward, backward; as in the report), and `narrow`, why the records are too poor, or an empty text. `seconds`: how
-    long it took [s].
+    Attributes
+    ----------
+    verdict : {"named", "tie", "none", "not_identifiable"}
+        Effects were named; effects of several classes explain the records alike; no effect is missing; the records cannot tell.
+    statement : tuple of str
+        The result in sentences.
+    effects : tuple of Named
+        The effects that were found, with their parameters.
+    ties : tuple of tuple of str
+        Names of effects that explain the records alike.
+    experiment : str
+        The experiment that would tell the members of a tie apart; empty without one.
+    where : tuple of View
+        Localisation of the residual: its predictable share in each view, before and after.
+    remains : Unexplained
+        Whether a residual is left that no effect explains.
+    gap : Gap
+        Mean squared error over held-out segments, before and after, and its noise floor.
+    excitation : dict of str to object
+        What the records excite: ranges of input, speed and position (SI), shares of the time at rest, forward, backward; and
+        ``narrow``, why the excitation is too poor, or an empty text.
+    findings : tuple of str
+        Lines about records and model: what, where, what to do.
+    base : dict of str to Estimate
+        Parameters of the model, refitted without effects (SI).
+    parameters : dict of str to Estimate
+        The same with the effects added.
+    rounds : tuple of Round
+        The rounds of the search, each with its candidates.
+    undetected : dict of str to str
+        Of each effect that was not found: which size would have been detected, or why it cannot be.
+    traces : tuple of Trace
+        Signals for the figures.
+    model : Model
+        The model that was diagnosed.
+    proposals : tuple of str
+        What to mend in data or model first: a sign, a factor of a unit, a bound.
+    seconds : float
+        How long it took [s].
+    choices : dict of str to dict of str to Estimate
+        Of each member of a tie, as if it had been named: its parameters.
+    choice_parameters : dict of str to dict of str to Estimate
+        The same of the parameters of the model beside it.
     """
 
-    verdict: str  # named | tie | none | not_identifiable
+    verdict: str
     statement: tuple[str, ...]
     effects: tuple[Named, ...]
     ties: tuple[tuple[str, ...], ...]
@@ -132,15 +171,14 @@ class Diagnosis:
     gap: Gap
     excitation: dict[str, Any]
     findings: tuple[str, ...]
-    base: dict[str, Estimate]  # parameters of the model, refitted without effects
-    parameters: dict[str, Estimate]  # the same with the effects added
+    base: dict[str, Estimate]
+    parameters: dict[str, Estimate]
     rounds: tuple[Round, ...]
-    undetected: dict[str, str]  # effects not found: what size would have been seen, or why it cannot be seen
+    undetected: dict[str, str]
     traces: tuple[Trace, ...]
-    model: Any = None  # diagnosis.modelfile.Model
-    proposals: tuple[str, ...] = ()  # sign flip, unit factor: mend the data first
+    model: Any = None
+    proposals: tuple[str, ...] = ()
     seconds: float = 0.0
-    # of each member of a tie, as if it had been named: its own parameters, and those of the model beside it
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
 

@@ -1,1 +1,3 @@
 """Which effects are missing: candidates, chance, criterion, stepwise search."""
+
+__all__: list[str] = []

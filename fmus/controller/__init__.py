@@ -1,1 +1,3 @@
 """The FMU Controller."""
+
+__all__: list[str] = []

@@ -1,1 +1,3 @@
 """The FMU AdaptiveObserver."""
+
+__all__: list[str] = []

@@ -1,1 +1,3 @@
 """The FMU ServoPlant."""
+
+__all__: list[str] = []

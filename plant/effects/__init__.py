@@ -11,6 +11,8 @@ from bristle.common.errors import BristleError
 from bristle.plant.effect import Effect
 from bristle.plant.wording import ROTARY, Wording
 
+__all__ = ["effect", "effects"]
+
 
 @cache
 def _catalogue(wording: Wording) -> dict[str, Effect]:

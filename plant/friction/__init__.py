@@ -9,6 +9,8 @@ from bristle.common.errors import BristleError
 from bristle.model.variables import unique
 from bristle.plant.law import FrictionLaw
 
+__all__ = ["law", "laws"]
+
 
 def laws() -> dict[str, FrictionLaw]:
     """Return all laws by name, in alphabetical order of their files."""

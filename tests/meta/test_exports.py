@@ -1,0 +1,107 @@
+"""What the library offers: the public names, each with a docstring that names all arguments.
+
+A name that is added or removed here changes what users can rely on: it is an entry of CHANGELOG.md.
+"""
+
+import dataclasses
+import inspect
+import re
+
+import pytest
+
+PUBLIC = {
+    "bristle": [
+        "BristleError", "Diagnosis", "Model", "Record", "Result", "__version__", "build", "diagnose", "load_model", "load_record",
+        "load_records", "run",
+    ],
+    "bristle.common.errors": [
+        "BristleError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
+    ],
+    "bristle.common.units": ["Unit", "convert", "parse_unit", "per_second", "quantity"],
+    "bristle.diagnosis": [
+        "BristleError", "Diagnosis", "Model", "Record", "diagnose", "diagnose_fmu", "fmu_model", "load_model", "load_records",
+        "records_from_arrays", "write",
+    ],
+    "bristle.fmus": ["build", "obtain"],
+    "bristle.model.native": ["Native"],
+    "bristle.model.program": ["Program"],
+    "bristle.model.system": ["DryRow", "System"],
+    "bristle.model.variables": ["Named", "Namespace", "Parameter", "State", "Variable", "unique"],
+    "bristle.observer": ["methods", "observer_program"],
+    "bristle.observer.method": [
+        "EquationContext", "Method", "Sample", "Update", "observer", "stack", "stack_symmetric", "symmetric_states", "unstack",
+        "unstack_symmetric", "vector_states",
+    ],
+    "bristle.plant.effect": ["Context", "Coupling", "Effect", "Evidence", "power"],
+    "bristle.plant.effects": ["effect", "effects"],
+    "bristle.plant.friction": ["law", "laws"],
+    "bristle.plant.law": [
+        "Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth",
+    ],
+    "bristle.plant.servo": ["servo", "servo_program"],
+    "bristle.plant.wording": ["ROTARY", "Wording"],
+    "bristle.result": ["Result"],
+}  # fmt: skip
+OFFERED_TO_USERS = ("bristle", "bristle.diagnosis", "bristle.fmus")  # their docstrings have to be complete
+PARAMETERS = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", re.DOTALL | re.MULTILINE)
+ATTRIBUTES = re.compile(r"^Attributes\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", re.DOTALL | re.MULTILINE)
+
+
+def documented(text, section):
+    """Return the names that a section of a docstring explains."""
+    found = section.search(inspect.cleandoc(text or ""))
+    return set(re.findall(r"\*?\w+", " ".join(re.findall(r"^(\S[^:\n]*)", found[1], re.MULTILINE)))) if found else set()
+
+
+def offered(modules):
+    """Return every public function and class that is offered to users, by its name."""
+    return {
+        f"{module}.{name}": getattr(modules[module], name)
+        for module in OFFERED_TO_USERS
+        for name in PUBLIC[module]
+        if name[0] != "_"
+    }
+
+
+def test_the_public_names_are_these(modules):
+    declared = {name: sorted(module.__all__) for name, module in modules.items() if getattr(module, "__all__", [])}
+    declared.pop("bristle.records", None)  # being rewritten
+    assert declared == PUBLIC
+
+
+def test_every_package_says_what_it_offers(modules):
+    packages = {name for name, module in modules.items() if hasattr(module, "__path__")} - {"bristle.records"}
+    assert len(packages) > 15
+    assert not {name for name in packages if not hasattr(modules[name], "__all__")}
+
+
+def test_every_public_name_is_there_and_documented(modules):
+    for module, names in PUBLIC.items():
+        for name in names:
+            value = getattr(modules[module], name)
+            if inspect.isfunction(value) or inspect.isclass(value):
+                assert (value.__doc__ or "").strip(), f"{module}.{name}"
+
+
+def test_every_argument_of_a_public_function_is_documented(modules):
+    functions = {name: value for name, value in offered(modules).items() if inspect.isfunction(value)}
+    assert len(functions) >= 12
+    for name, function in functions.items():
+        asked = set(inspect.signature(function).parameters)
+        missing = asked - documented(function.__doc__, PARAMETERS)
+        assert not missing, f"{name}: the docstring has no entry under Parameters for {sorted(missing)}"
+
+
+def test_every_field_of_a_public_class_is_documented(modules):
+    for name, value in offered(modules).items():
+        if dataclasses.is_dataclass(value):
+            missing = {f.name for f in dataclasses.fields(value)} - documented(value.__doc__, ATTRIBUTES)
+            assert not missing, f"{name}: the docstring has no entry under Attributes for {sorted(missing)}"
+
+
+def test_an_unknown_argument_is_refused(modules):
+    for name, value in offered(modules).items():
+        if inspect.isfunction(value):
+            with pytest.raises(TypeError, match="no_such_argument"):
+                value(no_such_argument=1)
+            assert "**" not in str(inspect.signature(value)), name
