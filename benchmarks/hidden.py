@@ -27,12 +27,12 @@ from run import diagnose_one
 from score import Judged
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDER = ROOT / "scenarios" / "hidden"
+HIDDEN_CASES = ROOT / "scenarios" / "hidden"
 SEALED, DIGEST = "answers.sealed", "answers.sha256"
-RESULTS = ROOT / "benchmarks" / "results" / "hidden.md"
-ABSORBED = ["back_emf"]  # taken up by viscous friction: no name is right
-NOTHING = {"control": "nothing", "outside": "not in the catalogue"}
-HEAD = """# Scenarios with a hidden effect
+HIDDEN_TABLE = ROOT / "benchmarks" / "results" / "hidden.md"
+ABSORBED_EFFECTS = ["back_emf"]  # taken up by viscous friction: no name is right
+NO_CATALOGUE_EFFECT = {"control": "nothing", "outside": "not in the catalogue"}
+HIDDEN_INTRODUCTION = """# Scenarios with a hidden effect
 
 `python benchmarks/hidden.py`: every case of scenarios/hidden, diagnosed from its model and its two records alone; the sealed
 answers are opened afterwards. The gap ratio is the truth's own (benchmarks/blind/gap.py). Right are: exactly the hidden effects,
@@ -44,13 +44,13 @@ friction, which a refit takes up.
 Json = dict[str, Any]
 
 
-def broken(folder: Path = FOLDER) -> bool:
+def broken(folder: Path = HIDDEN_CASES) -> bool:
     """Return whether the answers differ from what was sealed, without opening them."""
     digest, name = (folder / DIGEST).read_text(encoding="utf-8").split()
     return name != SEALED or hashlib.sha256((folder / SEALED).read_bytes()).hexdigest() != digest
 
 
-def open_answers(folder: Path = FOLDER) -> dict[str, Json]:
+def open_answers(folder: Path = HIDDEN_CASES) -> dict[str, Json]:
     """Return the answers by the name of their case; raise ValueError if the seal is broken."""
     if broken(folder):
         raise ValueError(f"{folder / SEALED} is not what was sealed; restore it, or make the cases again")
@@ -58,7 +58,7 @@ def open_answers(folder: Path = FOLDER) -> dict[str, Json]:
     return answers
 
 
-def cases(folder: Path = FOLDER) -> list[Path]:
+def cases(folder: Path = HIDDEN_CASES) -> list[Path]:
     """Return the folders of all cases."""
     return sorted(path.parent for path in folder.glob("*/model.toml"))
 
@@ -100,15 +100,15 @@ def flagged(result: Json) -> bool:
 
 def truth(answer: Json) -> str:
     """Return what was hidden in a few words."""
-    if answer["kind"] in NOTHING:
-        return f"{NOTHING[answer['kind']]} ({answer['variant']})"
+    if answer["kind"] in NO_CATALOGUE_EFFECT:
+        return f"{NO_CATALOGUE_EFFECT[answer['kind']]} ({answer['variant']})"
     return " + ".join(effect["name"] for effect in answer["effects"])
 
 
 def right(answer: Json, result: Json) -> str:
     """Return yes, class (another name of the same class) or no."""
     case = Judged(answer, result)
-    if answer["kind"] in NOTHING or case.truth == ABSORBED:
+    if answer["kind"] in NO_CATALOGUE_EFFECT or case.truth == ABSORBED_EFFECTS:
         quiet = result["verdict"] in ("none", "not_identifiable")
         return "yes" if quiet and (answer["kind"] != "outside" or case.flagged) else "no"
     return "yes" if case.strict else "class" if case.right else "no"
@@ -133,7 +133,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     if broken():
-        print(f"{FOLDER / SEALED} is not what was sealed", file=sys.stderr)
+        print(f"{HIDDEN_CASES / SEALED} is not what was sealed", file=sys.stderr)
         return 1
     chosen = [folder for folder in cases() if not arguments.cases or folder.name in arguments.cases]
     if unknown := set(arguments.cases) - {folder.name for folder in chosen}:
@@ -142,7 +142,7 @@ def main() -> int:
     text = table(open_answers(), results)
     print(text)
     if not arguments.cases:
-        RESULTS.write_text(f"{HEAD}\n{text}", encoding="utf-8")
+        HIDDEN_TABLE.write_text(f"{HIDDEN_INTRODUCTION}\n{text}", encoding="utf-8")
     return 0
 
 

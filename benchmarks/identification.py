@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from standard_records import STEP, TRUE, observe, record
+from standard_records import RECORD_STEP, TRUE_PARAMETERS, observe, record
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
 
 STEP1 = ("alpha2", "b", "Fc")
 STEP2 = ("sigma0", "sigma1", "sigma2", "c")
-KNOWN = {"alpha2": 2.0, "b": 6.5}
+KNOWN_SERVO = {"alpha2": 2.0, "b": 6.5}
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Case:
     known: tuple[str, ...] = field(default=())
 
 
-CASES = (
+PAPER_CASES = (
     Case("repaired_step1", "bastin_gevers", 200.0, STEP1, 0.5, 100.0),
     Case("repaired_step2", "besancon", 100.0, STEP2, 3.0, 90.0, known=("alpha2", "b")),
     Case("encoder_rls", "rls", 200.0, STEP1, 1.0, None, encoder=True),
@@ -46,7 +46,7 @@ CASES = (
 )
 
 
-def run_case(case: Case, plant: str, order: int, seed: int, known: dict[str, float] = KNOWN) -> tuple[np.ndarray, np.ndarray]:
+def run_case(case: Case, plant: str, order: int, seed: int, known: dict[str, float] = KNOWN_SERVO) -> tuple[np.ndarray, np.ndarray]:
     """Return (error at the end in %, last time the error exceeds 5 %) of each parameter."""
     data = record(plant, order, seed, case.seconds)
     if case.encoder:
@@ -57,7 +57,7 @@ def run_case(case: Case, plant: str, order: int, seed: int, known: dict[str, flo
 def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
     """Return the table row of a case and whether what was promised holds."""
     cells, good = [], True
-    for plant in TRUE:
+    for plant in TRUE_PARAMETERS:
         for order in (1, 2):
             found = [run_case(case, plant, order, seed) for seed in seeds]
             worst = max(float(np.max(np.abs(error))) for error, _ in found)
@@ -70,12 +70,12 @@ def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
 
 def amplification(seeds: Sequence[int]) -> None:
     """Print what 1 % of error in alpha2 or b does to step 2: mean over the seeds (largest), in %."""
-    step2 = next(case for case in CASES if case.name == "repaired_step2")
+    step2 = next(case for case in PAPER_CASES if case.name == "repaired_step2")
     print(f"\n| wrong by +1 % | {' | '.join(step2.names)} |\n|---|{'---|' * len(step2.names)}")
-    for wrong in KNOWN:
-        for plant in TRUE:
+    for wrong in KNOWN_SERVO:
+        for plant in TRUE_PARAMETERS:
             for order in (1, 2):
-                disturbed = KNOWN | {wrong: 1.01 * KNOWN[wrong]}
+                disturbed = KNOWN_SERVO | {wrong: 1.01 * KNOWN_SERVO[wrong]}
                 moved = [
                     run_case(step2, plant, order, seed, disturbed)[0] - run_case(step2, plant, order, seed)[0] for seed in seeds
                 ]
@@ -89,8 +89,8 @@ def wandering(seeds: Sequence[int]) -> None:
     rms, largest = [], []
     for seed in seeds:
         data = {name: values for name, values in record("S", 1, seed, 200.0).items() if name != "encoder"}
-        out, _ = Native(program).run(STEP, data, ["b_hat"])
-        error = 100.0 * (out[round(100.0 / STEP) :, 0] / TRUE["S"]["b"] - 1.0)
+        out, _ = Native(program).run(RECORD_STEP, data, ["b_hat"])
+        error = 100.0 * (out[round(100.0 / RECORD_STEP) :, 0] / TRUE_PARAMETERS["S"]["b"] - 1.0)
         rms.append(float(np.sqrt(np.mean(error**2))))
         largest.append(float(np.max(np.abs(error))))
     spread = f"rms {min(rms):.3f} to {max(rms):.3f} %, largest {min(largest):.2f} to {max(largest):.2f} %"
@@ -105,7 +105,7 @@ def main() -> int:
     print(f"Largest error of any parameter at the end in % / last time an error exceeds 5 % in s, worst of seeds 1-{len(seeds)}:\n")
     print("| | S, order 1 | S, order 2 | R, order 1 | R, order 2 | limit | holds |\n|---|---|---|---|---|---|---|")
     results = []
-    for case in CASES:
+    for case in PAPER_CASES:
         text, good = row(case, seeds)
         print(text, flush=True)
         results.append(good)

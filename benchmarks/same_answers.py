@@ -39,15 +39,15 @@ ROOT = Path(__file__).resolve().parents[1]
 Json = dict[str, Any]
 Job = Callable[[], Json]
 
-TEXTS = {  # keys of diagnosis.json that hold sentences or times, at any depth
+KEYS_NOT_COMPARED = {  # keys of diagnosis.json that hold sentences or times, at any depth
     "statement", "findings", "proposals", "experiment", "undetected", "decision", "note", "label", "seconds", "narrow",
     "provenance", "wall_s",
 }  # fmt: skip
-QUICK = {
+QUICK_SELECTION = {
     "hidden": ("01", "05", "07", "12", "18", "23"), "measured": ("odrive_off", "go1_2kg"),
     "scenario": ("quick", "self_starting", "lugre_original"),
 }  # fmt: skip
-NOMINAL = {  # rough models of the measured sets
+NOMINAL_MODELS = {  # rough models of the measured sets
     "emps": ("voltage", "m", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.15}),
     "xl330": ("voltage", "rad", {"J": 0.005, "a2": 0.03, "Fc": 0.04, "b": 0.1}),
     "go1": ("torque", "rad", {"J": 0.002, "a2": 0.02, "Fc": 0.02}),
@@ -59,7 +59,7 @@ UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 def numbers_of(content: Any) -> Any:
     """Return a result without its sentences."""
     if isinstance(content, dict):
-        return {key: numbers_of(value) for key, value in content.items() if key not in TEXTS}
+        return {key: numbers_of(value) for key, value in content.items() if key not in KEYS_NOT_COMPARED}
     return [numbers_of(each) for each in content] if isinstance(content, list) else content
 
 
@@ -102,7 +102,7 @@ def built(command: Sequence[str], what: str, *options: str) -> Json:
 
 def measured_entries() -> Iterator[tuple[str, str, Sequence[measured.Entry]]]:
     """Give name, rig and records of each measured set that is there."""
-    there = {path.name for path in measured.ROOT.glob("*")}
+    there = {path.name for path in measured.MEASURED_FOLDER.glob("*")}
     if "emps" in there:
         yield "emps", "emps", measured.emps()
     if "bam_xl330_gain" in there:
@@ -115,7 +115,7 @@ def measured_entries() -> Iterator[tuple[str, str, Sequence[measured.Entry]]]:
 
 def measured_case(folder: Path, rig: str, entries: Sequence[measured.Entry]) -> tuple[Path, list[Path]]:
     """Write a model file and records into a folder and return where they are."""
-    kind, unit, parameters = NOMINAL[rig]
+    kind, unit, parameters = NOMINAL_MODELS[rig]
     lines = ['friction = "coulomb"', "[parameters]", *(f"{name} = {value!r}" for name, value in parameters.items())]
     lines += ["[time]", 'column = "t"', 'unit = "s"', "[input]", 'column = "u"', f'kind = "{kind}"', f'unit = "{UNITS[kind]}"']
     lines += ["[output]", 'column = "y"', 'kind = "position"', f'unit = "{unit}"']
@@ -134,7 +134,7 @@ def jobs(command: Sequence[str], folder: Path, quick: bool) -> dict[str, Job]:
     work: dict[str, Job] = {}
 
     def add(kind: str, name: str, function: Callable[..., Json], *arguments: Any) -> None:
-        if not quick or name in QUICK.get(kind, (name,)):
+        if not quick or name in QUICK_SELECTION.get(kind, (name,)):
             work[f"{kind} {name}"] = lambda: function(command, *arguments)
 
     for what in ("plant", "observer", "controller"):

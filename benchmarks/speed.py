@@ -33,8 +33,8 @@ from bristle.model.sources import c_sources
 from bristle.observer import observer_program
 from bristle.plant.servo import servo_program
 
-STEP = 1e-3
-METHOD = "two_step"
+COMMUNICATION_STEP = 1e-3
+TIMED_METHOD = "two_step"
 LINKS = (
     (("controller", "u"), ("plant", "u")),
     (("controller", "u"), ("observer", "u")),
@@ -43,7 +43,7 @@ LINKS = (
     (("plant", "theta"), ("observer", "y_theta")),
 )
 RECORD = (("plant", "theta"), ("plant", "v"), ("controller", "u"), ("observer", "alpha2_hat"), ("observer", "sigma0_hat"))
-SYMBOLS = ("defaults", "derive", "initialise", "advance", "outputs", "rates", "jacobian", "message")
+CORE_FUNCTIONS = ("defaults", "derive", "initialise", "advance", "outputs", "rates", "jacobian", "message")
 Cores = dict[str, tuple[Program, ctypes.Array[ctypes.c_char]]]
 
 
@@ -52,7 +52,7 @@ def programs() -> dict[str, tuple[Program, str]]:
     return {
         "plant": (servo_program(), "modified"),
         "controller": (controller_program(), ""),
-        "observer": (observer_program(), METHOD),
+        "observer": (observer_program(), TIMED_METHOD),
     }
 
 
@@ -61,7 +61,7 @@ def plain_library(parts: dict[str, tuple[Program, str]]) -> ctypes.CDLL:
     sources = {"plain.c": Path(__file__).with_name("plain.c").read_text(encoding="utf-8")}
     for name, (program, _) in parts.items():
         text = c_sources(program)
-        rename = "".join(f"#define {x} {name}_{x}\n" for x in [*(f"core_{s}" for s in SYMBOLS), "VARIANTS", "START"])
+        rename = "".join(f"#define {x} {name}_{x}\n" for x in [*(f"core_{s}" for s in CORE_FUNCTIONS), "VARIANTS", "START"])
         for unit in ("core", "model"):
             body = text[f"{unit}.c"].replace('#include "core.h"', f'{rename}#include "{name}_core.h"')
             sources[f"{name}_{unit}.c"] = body
@@ -98,7 +98,8 @@ def time_plain(parts: dict[str, tuple[Program, str]], steps: int) -> tuple[float
 
     begin = time.perf_counter()
     done = library.plain_run(
-        *(cores[name][1] for name in ("plant", "controller", "observer")), ctypes.c_longlong(steps), ctypes.c_double(STEP),
+        *(cores[name][1] for name in ("plant", "controller", "observer")),
+        ctypes.c_longlong(steps), ctypes.c_double(COMMUNICATION_STEP),
         len(LINKS), pointer(ends[0]), pointer(ends[1]), len(RECORD), pointer(taps), pointer(record),
     )  # fmt: skip
     assert done == steps, f"the plain loop ended at step {done}"
@@ -111,9 +112,9 @@ def bus(kind: str, steps: int) -> Bus:
     chosen = {
         "plant": {"law": fmus["plant"].choices("law")["modified"]},
         "controller": {},
-        "observer": {"method": fmus["observer"].choices("method")[METHOD]},
+        "observer": {"method": fmus["observer"].choices("method")[TIMED_METHOD]},
     }
-    return Bus(tuple(Instance(n, fmu, chosen[n]) for n, fmu in fmus.items()), steps, STEP, LINKS, record=RECORD)
+    return Bus(tuple(Instance(n, fmu, chosen[n]) for n, fmu in fmus.items()), steps, COMMUNICATION_STEP, LINKS, record=RECORD)
 
 
 def time_native(steps: int) -> tuple[float, np.ndarray]:
@@ -142,7 +143,7 @@ def time_calls(kind: str, steps: int) -> tuple[float, np.ndarray]:
             values = [[outputs[i][j] for i, j in wires] for wires in wiring]
             for i, (fmu, in_vr, out_vr) in enumerate(units):
                 fmu.setReal(in_vr, values[i])
-                fmu.doStep(k * STEP, STEP)
+                fmu.doStep(k * COMMUNICATION_STEP, COMMUNICATION_STEP)
                 outputs[i] = fmu.getReal(out_vr)
             record.append([outputs[i][j] for i, j in taps])
         return time.perf_counter() - begin, np.array(record)
@@ -158,7 +159,7 @@ def arithmetic(parts: dict[str, tuple[Program, str]], record: np.ndarray) -> lis
         for _ in range(5):
             instance.reset()
             begin = time.perf_counter()
-            instance.run(STEP, inputs[name], [])
+            instance.run(COMMUNICATION_STEP, inputs[name], [])
             times.append(time.perf_counter() - begin)
         rows.append((name, 1e6 * statistics.median(times) / len(u), instance.steps / len(u)))
     return rows
@@ -186,7 +187,7 @@ def main() -> int:
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # pythonfmu now and then harms its host's memory
         python, by_python = pool.submit(time_calls, "python", n).result()
     us = {name: 1e6 * t / n for name, t in zip(("plain", "native", "fmpy", "python"), (plain, native, calls, python), strict=True)}
-    print(f"{n} steps of 1 ms, controller + plant (modified) + observer ({METHOD}); medians of {given.runs} runs in turn\n")
+    print(f"{n} steps of 1 ms, controller + plant (modified) + observer ({TIMED_METHOD}); medians of {given.runs} runs in turn\n")
     print("| loop | us/step | ratio to plain |\n|---|---|---|")
     for name, value in us.items():
         print(f"| {name} | {value:.3f} | {value / us['plain']:.2f} |")

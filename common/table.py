@@ -19,7 +19,7 @@ from bristle.common.units import parse_unit
 Array = NDArray[np.float64]
 
 SEPARATORS = ",;\t"  # of a CSV
-NAME, NAMES = 40, 20  # letters of a column's name and names that an error shows
+SHOWN_LETTERS, SHOWN_NAMES = 40, 20  # letters of a column's name and names that an error shows
 
 
 class Columns(dict[str, Array]):
@@ -222,8 +222,8 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
 
 def _listed(names: Iterable[str]) -> str:
     """Return some names in short, as one line can hold them."""
-    short = [name if len(name) <= NAME else f"{name[:NAME]}..." for name in names]
-    return ", ".join(short[:NAMES]) + (f" and {len(short) - NAMES} more" if len(short) > NAMES else "")
+    short = [name if len(name) <= SHOWN_LETTERS else f"{name[:SHOWN_LETTERS]}..." for name in names]
+    return ", ".join(short[:SHOWN_NAMES]) + (f" and {len(short) - SHOWN_NAMES} more" if len(short) > SHOWN_NAMES else "")
 
 
 def si_column(where: str, columns: Mapping[str, Array], name: str, unit: str, scale: str | None, si_unit: str) -> Array:

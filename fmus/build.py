@@ -19,22 +19,22 @@ from bristle.model.compiler import FLAGS, compiler_identity
 if TYPE_CHECKING:
     from bristle.model.program import Program
 
-WHAT = ("plant", "observer", "controller")
-CHOICE = {"plant": "law", "observer": "method"}  # what one variant alone is chosen by
-INGREDIENTS = ("bristle.common", "bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
-LIBRARIES = ("bristle", "casadi", "fmpy", "pythonfmu")
+FMU_NAMES = ("plant", "observer", "controller")
+VARIANT_OPTION = {"plant": "law", "observer": "method"}  # what one variant alone is chosen by
+HASHED_PACKAGES = ("bristle.common", "bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
+HASHED_DISTRIBUTIONS = ("bristle", "casadi", "fmpy", "pythonfmu")
 
 
 def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None, effects: Sequence[str]) -> str | None:
     """Return the variant asked for, or None for all; raise `BristleError` for what cannot be built."""
-    if what not in WHAT:
-        raise BristleError(f"unknown FMU '{what}'; known: {', '.join(WHAT)}")
+    if what not in FMU_NAMES:
+        raise BristleError(f"unknown FMU '{what}'; known: {', '.join(FMU_NAMES)}")
     if kind not in ("native", "python"):
         raise BristleError(f"unknown kind of FMU '{kind}'; known: native, python")
     if fmi not in ((2, 3) if kind == "native" else (2,)):
         raise BristleError(f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}")
     for name, value in (("law", law), ("method", method)):
-        if value is not None and CHOICE.get(what) != name:
+        if value is not None and VARIANT_OPTION.get(what) != name:
             raise BristleError(f"the {what} has no {name} to choose ('{value}'); leave it out")
     if isinstance(effects, str):
         raise BristleError(f"effects is the text '{effects}'; give a list of names: ['{effects}']")
@@ -114,9 +114,9 @@ def _sources(package: str) -> list[str | bytes]:
 
 
 def _key(kind: str, *arguments: object) -> str:
-    sources = [part for name in INGREDIENTS for part in _sources(name)]
+    sources = [part for name in HASHED_PACKAGES for part in _sources(name)]
     made_by = (*FLAGS, compiler_identity()) if kind == "native" else ()
-    return digest(*sources, *(version(name) for name in LIBRARIES), *made_by, repr((kind, *arguments)))
+    return digest(*sources, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments)))
 
 
 def obtain(

@@ -8,15 +8,15 @@ from html import escape
 from bristle.fmus.interface import Exposed, Interface
 from bristle.model.variables import Parameter
 
-SECTIONS = {
+PAGE_SECTIONS = {
     "Parameters": ("parameter",),
     "Calculated parameters": ("calculatedParameter",),
     "Inputs": ("input",),
     "Outputs": ("output",),
     "States and derivatives": ("local",),
 }
-COLUMNS = ("name", "unit", "start", "interval", "meaning", "source")
-STYLE = "body{font-family:sans-serif;max-width:60em;margin:auto}td,th{padding:.2em .6em;text-align:left}"
+PAGE_COLUMNS = ("name", "unit", "start", "interval", "meaning", "source")
+PAGE_STYLE = "body{font-family:sans-serif;max-width:60em;margin:auto}td,th{padding:.2em .6em;text-align:left}"
 
 
 def _row(x: Exposed) -> list[str]:
@@ -30,7 +30,7 @@ def _row(x: Exposed) -> list[str]:
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
     lines = ["<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row) + "</tr>"
-             for tag, row in (("th", COLUMNS), *(("td", row) for row in rows))]  # fmt: skip
+             for tag, row in (("th", PAGE_COLUMNS), *(("td", row) for row in rows))]  # fmt: skip
     return "<table>\n" + "\n".join(lines) + "\n</table>"
 
 
@@ -41,8 +41,8 @@ def documentation(interface: Interface) -> str:
     if program.selector:
         items = "".join(f"<li>{v.system.name}: {escape(v.system.description)}</li>" for v in program.variants)
         parts.append(f"<p>The parameter <code>{program.selector}</code> chooses:</p>\n<ol>{items}</ol>")
-    for title, causalities in SECTIONS.items():
+    for title, causalities in PAGE_SECTIONS.items():
         if variables := interface.of(*causalities):
             parts.append(f"<h2>{title}</h2>\n" + _table([_row(x) for x in variables]))
-    head = f'<meta charset="utf-8">\n<title>{escape(program.name)}</title>\n<style>{STYLE}</style>'
+    head = f'<meta charset="utf-8">\n<title>{escape(program.name)}</title>\n<style>{PAGE_STYLE}</style>'
     return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n' + "\n".join(parts) + "\n</body>\n</html>\n"

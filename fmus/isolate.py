@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 
-LOOK = 0.05  # s between two looks at the child
+POLL_INTERVAL = 0.05  # s between two looks at the child
 
 Control = NDArray[np.int64]
 Argument = TypeVar("Argument")
@@ -74,7 +74,7 @@ def isolated(
 def _wait(child: subprocess.Popen[bytes], control: Control, progress: Callable[[int], None] | None) -> None:
     while True:
         try:
-            child.wait(LOOK)
+            child.wait(POLL_INTERVAL)
             return
         except subprocess.TimeoutExpired:
             if progress:

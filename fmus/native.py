@@ -16,19 +16,19 @@ from bristle.model.compiler import SUFFIX, compile_shared
 from bristle.model.program import Program
 from bristle.model.sources import c_sources
 
-SHARED = ("handles.h", "handles.c", "instance.h", "instance.c")
-HEADERS = {
+FMU_SOURCES = ("handles.h", "handles.c", "instance.h", "instance.c")
+FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
-MACHINE = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
-SYSTEM = {"win32": ("win", "windows"), "darwin": ("darwin", "darwin")}
+MACHINE_NAMES = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
+SYSTEM_NAMES = {"win32": ("win", "windows"), "darwin": ("darwin", "darwin")}
 
 
 def platform_folder(fmi: int) -> str:
     """Return where the standard looks for the binary of this machine, such as linux64 or x86_64-linux."""
-    machine = MACHINE.get(platform.machine().lower(), platform.machine().lower())
-    short, long = SYSTEM.get(sys.platform, ("linux", "linux"))
+    machine = MACHINE_NAMES.get(platform.machine().lower(), platform.machine().lower())
+    short, long = SYSTEM_NAMES.get(sys.platform, ("linux", "linux"))
     if fmi == 3:
         return f"{machine}-{long}"
     return f"{short}64" if machine == "x86_64" or short == "darwin" else f"{machine}-{long}"
@@ -38,7 +38,7 @@ def _fmi_headers(fmi: int) -> dict[str, str]:
     """Return the standard's own headers, which ship with FMPy."""
     folder = files("fmpy") / "c-code"
     try:
-        return {name: (folder / name).read_text(encoding="utf-8") for name in HEADERS[fmi]}
+        return {name: (folder / name).read_text(encoding="utf-8") for name in FMI_HEADERS[fmi]}
     except OSError:
         raise BristleError(f"FMPy's C headers are missing in {folder}; reinstall fmpy") from None
 
@@ -46,7 +46,7 @@ def _fmi_headers(fmi: int) -> dict[str, str]:
 def fmu_sources(interface: Interface, fmi: int) -> dict[str, str]:
     """Return file name -> text of all C sources of the FMU; they compile as they are."""
     folder = files("bristle.fmus") / "c"
-    own = {name: (folder / name).read_text(encoding="utf-8") for name in (*SHARED, f"fmi{fmi}.c")}
+    own = {name: (folder / name).read_text(encoding="utf-8") for name in (*FMU_SOURCES, f"fmi{fmi}.c")}
     return c_sources(interface.program) | c_tables(interface, fmi) | own | _fmi_headers(fmi)
 
 

@@ -10,16 +10,16 @@ from pathlib import Path
 
 from bristle.common.errors import BristleError
 
-EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a ZIP file knows
-PERMISSIONS = 0o100644 << 16
+ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest time a ZIP file knows
+ARCHIVE_PERMISSIONS = 0o100644 << 16
 
 
 def _fill(path: Path, files: Mapping[str, bytes]) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         for name in sorted(files):
-            entry = zipfile.ZipInfo(name, EPOCH)
+            entry = zipfile.ZipInfo(name, ARCHIVE_TIME)
             entry.create_system = 3  # Unix, wherever it is built
-            entry.external_attr = PERMISSIONS
+            entry.external_attr = ARCHIVE_PERMISSIONS
             archive.writestr(entry, files[name], zipfile.ZIP_DEFLATED, 9)
 
 

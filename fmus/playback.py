@@ -17,10 +17,14 @@ from bristle.fmus.isolate import isolated
 Array = NDArray[np.float64]
 
 INPUT = "u"
-REHEARSAL = 8  # steps that must come out the same after a new beginning
-SAME = 1e-9  # relative: how far they may be apart
-OBEYED = 0.1  # a start value must move its output by itself, but for this fraction
-WAYS = {"reset": "reset", "snapshot": "restored to a snapshot of the state before initialisation", "again": "instantiated again"}
+TRIAL_STEPS = 8  # steps that must come out the same after a new beginning
+REPEAT_TOLERANCE = 1e-9  # relative: how far they may be apart
+START_TOLERANCE = 0.1  # a start value must move its output by itself, but for this fraction
+RESTART_WAYS = {
+    "reset": "reset",
+    "snapshot": "restored to a snapshot of the state before initialisation",
+    "again": "instantiated again",
+}
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def _stretches(play: Play, control: NDArray[np.int64]) -> Played | str:
             player.begin(stretch.time, stretch.start)
             outputs.append(player.run(stretch))
             control[0] = k + 1
-        return Played(tuple(outputs), WAYS[player.way])
+        return Played(tuple(outputs), RESTART_WAYS[player.way])
     except RestartError as error:
         return str(error)
     finally:
@@ -205,10 +209,10 @@ class _Player:
             try:
                 first, second = self._tried(stretch), self._tried(stretch)
             except Exception as error:  # FMPy raises plain exceptions for what an FMU refuses
-                reasons.append(f"it cannot be {WAYS[way]} ({' '.join(str(error).split())})")
+                reasons.append(f"it cannot be {RESTART_WAYS[way]} ({' '.join(str(error).split())})")
                 continue
-            if not np.allclose(first, second, rtol=SAME, atol=SAME):
-                reasons.append(f"{WAYS[way]}, it does not repeat itself")
+            if not np.allclose(first, second, rtol=REPEAT_TOLERANCE, atol=REPEAT_TOLERANCE):
+                reasons.append(f"{RESTART_WAYS[way]}, it does not repeat itself")
             elif ignored := self._ignored(stretch, plain[0], first[0]):
                 reasons.append(f"its output {ignored} does not start where {self.play.begins[ignored]} says")
             else:
@@ -217,12 +221,12 @@ class _Player:
 
     def _tried(self, stretch: Stretch) -> Array:
         self.begin(stretch.time, stretch.start)
-        return np.array([self._shown(), *self._steps(stretch, REHEARSAL)])
+        return np.array([self._shown(), *self._steps(stretch, TRIAL_STEPS)])
 
     def _ignored(self, stretch: Stretch, plain: Array, begun: Array) -> str | None:
         for name, variable in self.play.begins.items():
             asked = stretch.start[variable] - self.play.fmu.start(variable)
             place = self.play.outputs.index(name)
-            if abs(begun[place] - plain[place] - asked) > OBEYED * abs(asked) + SAME:
+            if abs(begun[place] - plain[place] - asked) > START_TOLERANCE * abs(asked) + REPEAT_TOLERANCE:
                 return name
         return None

@@ -13,19 +13,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.fmus.build import WHAT, program_of
+from bristle.fmus.build import FMU_NAMES, program_of
 from bristle.fmus.interface import Interface
 from bristle.model.native import Native
 
 Array = NDArray[np.float64]
 
-STEP, STEPS, EVERY = 1e-3, 2000, 20  # s; communication steps in a run; steps from row to row
-TUBE = 1e-6  # half width over the range of the signal
+REFERENCE_RUN_STEP, REFERENCE_RUN_STEPS, STEPS_PER_ROW = 1e-3, 2000, 20  # s; communication steps in a run; steps from row to row
+TUBE_HALF_WIDTH = 1e-6  # half width over the range of the signal
 
 
 def inputs(what: str) -> dict[str, Array]:
     """Return the inputs of the reference run, one value a step."""
-    t = STEP * np.arange(STEPS)
+    t = REFERENCE_RUN_STEP * np.arange(REFERENCE_RUN_STEPS)
     voltage = 6.0 * np.sin(5.0 * t) + 2.0 * np.sin(23.0 * t)
     if what == "plant":
         return {"u": voltage, "tau_load": np.where(t < 1.0, 0.0, 0.002), "load_scale": np.where(t < 1.5, 1.0, 1.5)}
@@ -38,11 +38,11 @@ def reference_run(what: str) -> dict[str, Array]:
     """Simulate the program behind an FMU, without FMI; return time, inputs and all outputs that are numbers."""
     program, given = program_of(what), inputs(what)
     names = [x.name for x in Interface(program).of("output")]
-    record, _ = Native(program).run(STEP, given, names)
-    columns: dict[str, Array] = {"time": STEP * np.arange(STEPS + 1, dtype=np.float64)}
+    record, _ = Native(program).run(REFERENCE_RUN_STEP, given, names)
+    columns: dict[str, Array] = {"time": REFERENCE_RUN_STEP * np.arange(REFERENCE_RUN_STEPS + 1, dtype=np.float64)}
     columns |= {name: np.array([*values, values[-1]]) for name, values in given.items()}
     columns |= {name: values for name, values in zip(names, record.T, strict=True) if np.all(np.isfinite(values))}
-    return {name: values[::EVERY] for name, values in columns.items()}
+    return {name: values[::STEPS_PER_ROW] for name, values in columns.items()}
 
 
 def read_reference(what: str) -> dict[str, Array]:
@@ -64,7 +64,7 @@ def outside(reference: Mapping[str, Array], result: Mapping[str, Array]) -> dict
         if got is None or len(got) != len(expected):
             found[name] = np.inf
             continue
-        width = TUBE * max(float(np.ptp(expected)), float(np.max(np.abs(expected))), np.finfo(float).tiny)
+        width = TUBE_HALF_WIDTH * max(float(np.ptp(expected)), float(np.max(np.abs(expected))), np.finfo(float).tiny)
         distance = np.abs(got - expected) / width
         if not np.all(distance <= 1.0):
             found[name] = float(np.max(np.where(np.isnan(distance), np.inf, distance)))
@@ -80,5 +80,5 @@ def write_reference(what: str, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    for each in WHAT:
+    for each in FMU_NAMES:
         write_reference(each, Path(__file__).parent / each)

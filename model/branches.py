@@ -10,7 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-FEWEST = 8  # operations that are worth a branch
+MIN_BRANCH_OPERATIONS = 8  # operations that are worth a branch
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def _guards(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[st
     most = Counter(condition for line in lines for condition in under[line.name])
     guards = {line.name: max(mine, key=lambda c: (most[c], c)) for line in lines if (mine := under[line.name])}
     size = Counter(guards.values())
-    return {name: condition for name, condition in guards.items() if size[condition] >= FEWEST}
+    return {name: condition for name, condition in guards.items() if size[condition] >= MIN_BRANCH_OPERATIONS}
 
 
 def _ready(left: Sequence[Line], done: set[str], names: Collection[str]) -> list[Line]:

@@ -9,7 +9,7 @@ from bristle.model.system import MAX_STEP, System
 SX = ca.SX
 
 
-CLOSE = 1e-10  # of the size of what switches: no step is shortened for less
+SWITCHING_TOLERANCE = 1e-10  # of the size of what switches: no step is shortened for less
 
 
 def passed(system: System, end: SX, h: SX) -> list[SX]:
@@ -22,7 +22,7 @@ def passed(system: System, end: SX, h: SX) -> list[SX]:
     """
     x, longest = system.vector(list(system.states)), system.symbols[MAX_STEP.name]
     before = {name: ca.fmax(margin, 0) * (1 - h / longest) for name, margin in system.margins.items()}
-    return [ca.substitute(margin, x, end) - before[name] - CLOSE for name, margin in system.margins.items()]
+    return [ca.substitute(margin, x, end) - before[name] - SWITCHING_TOLERANCE for name, margin in system.margins.items()]
 
 
 def at_the_point(system: System, end: SX, h: SX) -> SX:

@@ -11,10 +11,10 @@ from bristle.observer import information, levant
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
-EQUATION = "dixit2008 eq. (19)-(22)"
+CITATION = "dixit2008 eq. (19)-(22)"
 ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2") | {"cb": "1/(s2.V)", "c_alpha2": "1/(rad.s)"} | units("c")
-NAMES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
-SIZES = (3.0, 10.0, 1000.0, 1000.0, 1000.0, 1000.0, 300.0, 100.0)  # expected of the entries: round numbers of no plant
+ESTIMATES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
+ENTRY_SIZES = (3.0, 10.0, 1000.0, 1000.0, 1000.0, 1000.0, 300.0, 100.0)  # expected of the entries: round numbers of no plant
 LOWEST = {"alpha2": 0.0, "sigma0": 1.0, "c": 1.0}  # of what is published; a bound within the recursion would hold it fast
 
 
@@ -34,7 +34,7 @@ def adapt(p: Namespace, h: SX, error: SX, period: SX) -> tuple[SX, SX]:
     eight entries are excited so unequally that no constant one tried came closer than 70 % in 10 s, even with u' exact.
     Source: zhang2002, with the gain of ljung1999 section 11.2.
     """
-    before, prior = information.read(p, len(ENTRIES)), ca.diag(p.prior / SX(SIZES) ** 2)
+    before, prior = information.read(p, len(ENTRIES)), ca.diag(p.prior / SX(ENTRY_SIZES) ** 2)
     memory = ca.exp(-period / p.memory)
     r = memory * before + (1 - memory) * prior + h @ h.T
     theta = ca.vertcat(*(p[f"theta_{name}"] for name in ENTRIES))
@@ -43,7 +43,7 @@ def adapt(p: Namespace, h: SX, error: SX, period: SX) -> tuple[SX, SX]:
 
 def estimates(p: Namespace) -> dict[str, SX]:
     """Return the six of the eight entries that are parameters."""
-    return {name: ca.fmax(p[f"theta_{name}"], LOWEST.get(name, -1e9)) for name in NAMES}
+    return {name: ca.fmax(p[f"theta_{name}"], LOWEST.get(name, -1e9)) for name in ESTIMATES}
 
 
 def gain_parameters(prefix: str, memory: float) -> tuple[Parameter, ...]:

@@ -57,10 +57,10 @@ METHOD = Method(
     "y_v",
     (
         *(
-            Parameter(f"approach_one_smooth.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", zhang.EQUATION)
+            Parameter(f"approach_one_smooth.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", zhang.CITATION)
             for i, k in enumerate(besancon.K0, start=1)
         ),
-        Parameter("approach_one_smooth.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.EQUATION),
+        Parameter("approach_one_smooth.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.CITATION),
         *gain_parameters("approach_one_smooth", 1.0),
     ),
     (

@@ -13,8 +13,8 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 DEGREE = math.pi / 180.0
-EQUATION = "bastin1988 eq. (3); dixit2008 eq. (3) and (23)"
-NAMES = units("alpha2", "b", "Fc")
+CITATION = "bastin1988 eq. (3); dixit2008 eq. (3) and (23)"
+ESTIMATES = units("alpha2", "b", "Fc")
 
 
 @dataclass(frozen=True)
@@ -32,22 +32,22 @@ PRINTED = Settings(vc=50.0, c1=100.0, gamma=(1e-3, 1e-3, 1e-4))
 
 def gate_parameter(prefix: str, vc: float = REPAIRED.vc) -> Parameter:
     """Declare the gate in rad/s, for vc in deg/s."""
-    return Parameter(f"{prefix}.vc", "vc", "rad/s", vc * DEGREE, 0.0, 1e3, "speed above which step 1 adapts", EQUATION)
+    return Parameter(f"{prefix}.vc", "vc", "rad/s", vc * DEGREE, 0.0, 1e3, "speed above which step 1 adapts", CITATION)
 
 
-def gamma_parameters(prefix: str, gains: tuple[float, float, float], source: str = EQUATION) -> tuple[Parameter, ...]:
+def gamma_parameters(prefix: str, gains: tuple[float, float, float], source: str = CITATION) -> tuple[Parameter, ...]:
     """Declare the diagonal of Gamma for (alpha2, b, Fc)."""
     return tuple(
         Parameter(f"{prefix}.gamma{i}", f"Gamma{i}", "1", gain, 0.0, 1e9, f"adaptation gain of {name}", source)
-        for i, (name, gain) in enumerate(zip(NAMES, gains, strict=True), start=1)
+        for i, (name, gain) in enumerate(zip(ESTIMATES, gains, strict=True), start=1)
     )
 
 
-def start_parameters(prefix: str, source: str = EQUATION) -> tuple[Parameter, ...]:
+def start_parameters(prefix: str, source: str = CITATION) -> tuple[Parameter, ...]:
     """Declare the starts of the estimates."""
     return tuple(
         Parameter(f"{prefix}.{name}_start", name, unit, 0.0, -1e6, 1e6, f"start of the estimate of {name}", source)
-        for name, unit in NAMES.items()
+        for name, unit in ESTIMATES.items()
     )
 
 
@@ -55,7 +55,7 @@ def parameters(prefix: str, settings: Settings) -> tuple[Parameter, ...]:
     """Declare gate, gains and starts under a method's name."""
     return (
         gate_parameter(prefix, settings.vc),
-        Parameter(f"{prefix}.c1", "c1", "1/s", settings.c1, 1e-3, 1e6, "output-error gain", EQUATION),
+        Parameter(f"{prefix}.c1", "c1", "1/s", settings.c1, 1e-3, 1e6, "output-error gain", CITATION),
         *gamma_parameters(prefix, settings.gamma),
         *start_parameters(prefix),
     )
@@ -67,7 +67,7 @@ def states(velocity_unit: float = 1.0, input_unit: float = 1.0) -> tuple[State, 
     return (
         *(
             State(f"step1_{name}", unit, f"estimate of {name}", initial=lambda p, n=name, k=scale[name]: p[f"{n}_start"] * k)
-            for name, unit in NAMES.items()
+            for name, unit in ESTIMATES.items()
         ),
         State("step1_v", "rad/s", "velocity estimate of step 1"),
         State("step1_gate", "1", "1 while step 1 adapts"),
@@ -106,7 +106,7 @@ def adapt(p: Namespace, s: Sample, vc: SX) -> dict[str, SX]:
     error = (s.y1 - predicted) / (1 + s.period**2 * ca.dot(phi, gamma * phi))
     theta_new = ca.if_else(gate, theta + s.period * gamma * phi * error, theta)
     x_new = ca.if_else(gate, s.y1 - ca.exp(-p.c1 * s.period) * error, s.y1)
-    names = [f"step1_{name}" for name in NAMES]
+    names = [f"step1_{name}" for name in ESTIMATES]
     return dict(zip(names, ca.vertsplit(theta_new), strict=True)) | {"step1_v": x_new, "step1_gate": gate}
 
 
@@ -114,7 +114,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     return Update(
         next=adapt(p, s, p.vc),
-        estimates={name: p[f"step1_{name}"] for name in NAMES},
+        estimates={name: p[f"step1_{name}"] for name in ESTIMATES},
         signals={"v": p.step1_v},
         first={"step1_v": s.y1},
     )

@@ -11,7 +11,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 SX = ca.SX
 K0 = (2.0, 1.0)
 LAM = 50.0
-STARTS = (300.0, 300.0, 300.0, 100.0)  # round numbers, of no plant
+START_VALUES = (300.0, 300.0, 300.0, 100.0)  # round numbers, of no plant
 
 
 def filter_of(context: EquationContext, s: Sample) -> zhang.Filter:
@@ -63,7 +63,7 @@ METHOD = Method(
     "y_v",
     (
         *zhang.known_parameters("besancon"),
-        *zhang.gain_parameters("besancon", K0, LAM, STARTS),
+        *zhang.gain_parameters("besancon", K0, LAM, START_VALUES),
         *zhang.matrix_parameters("besancon"),
     ),
     zhang.states(2),

@@ -92,7 +92,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare gains, starts and averaging under a method's name."""
     return (
-        *zhang.gain_parameters(prefix, (), LAM, besancon.STARTS),
+        *zhang.gain_parameters(prefix, (), LAM, besancon.START_VALUES),
         *zhang.matrix_parameters(prefix, gain=GAIN, averaging=AVERAGING),
     )
 

@@ -31,7 +31,7 @@ def step(context: EquationContext, s: Sample, alpha2: SX, b: SX) -> dict[str, SX
 def published(context: EquationContext, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals) in SI."""
     p = context.p
-    estimates = {name: p[f"raw_{name}"] / (UNIT if name == "c" else 1.0) for name in zhang.NAMES}
+    estimates = {name: p[f"raw_{name}"] / (UNIT if name == "c" else 1.0) for name in zhang.ESTIMATES}
     v, w = p.x0 * UNIT, -p.x1 * UNIT
     return estimates, {"v": v, "w": w, "F": w + alpha2 * v}
 

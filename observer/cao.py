@@ -19,14 +19,14 @@ from bristle.observer.interval import TINY, Interval
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
 
 SX = ca.SX
-EQUATION = "cao2003; dixit2008 eq. (7)-(10)"
+CITATION = "cao2003; dixit2008 eq. (7)-(10)"
 REGION = {  # of theta at the start, given by its physical meaning: intervals that hold most servos
     "Fc": ("rad/s2", 0.1, 100.0, "Coulomb friction over inertia"),
     "Fd": ("rad/s2", 0.1, 100.0, "static friction above it, over inertia"),
     "v0": ("rad/s", 0.05, 1.75, "Stribeck velocity"),
     "sigma0": ("1/s2", 10.0, 1e5, "stiffness over inertia"),
 }
-PLACES = range(len(REGION))
+INDICES = range(len(REGION))
 SLOWEST = 1e-9  # rad/s; the speed is divided by
 DOUBTFUL = 1e-3  # share of contradictions that discredits the model
 
@@ -142,7 +142,7 @@ def upper(p: Namespace, e: Equation, steady: SX) -> tuple[SX, SX, SX]:
     What contradicts the region opens it by a share towards what it was at the start.
     Source: cao2003 (the upper level); the region is narrowed at every sample, not when the lower level has settled.
     """
-    before = [Interval(p[f"least{i}"], p[f"most{i}"]) for i in PLACES]
+    before = [Interval(p[f"least{i}"], p[f"most{i}"]) for i in INDICES]
     left = contract(e, before)
     whole = widest(p)
 
@@ -169,7 +169,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     known, steady = equation(p, s)
     lo, hi, contradicts = upper(p, known, steady)
-    theta, region = stack(p, "theta", 4), [Interval(lo[i], hi[i]) for i in PLACES]
+    theta, region = stack(p, "theta", 4), [Interval(lo[i], hi[i]) for i in INDICES]
     moved = ca.if_else(steady, lower(known, region, theta), theta)
     theta_new = ca.fmin(ca.fmax(moved, lo), hi)
     doubt = p.doubt + s.period / ca.fmax(p.memory, s.period) * (contradicts - p.doubt)
@@ -191,7 +191,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 def valid(p: Namespace) -> dict[str, SX]:
     """Return which estimates have all of the region near them, as long as next to nothing contradicts it."""
-    fc, fd, q, soft = (ca.fmax(p[f"most{i}"] - p[f"theta{i}"], p[f"theta{i}"] - p[f"least{i}"]) for i in PLACES)
+    fc, fd, q, soft = (ca.fmax(p[f"most{i}"] - p[f"theta{i}"], p[f"theta{i}"] - p[f"least{i}"]) for i in INDICES)
     largest = {"sigma0": soft, "a0": fc + soft, "a1": fd + soft, "v0": q / (2 * p.theta2), "Fc": fc}  # relative errors
     return {name: ca.logic_and(p.doubt < DOUBTFUL, each < p.precision) for name, each in largest.items()}
 
@@ -204,21 +204,21 @@ METHOD = Method(
     (
         *zhang.known_parameters("cao"),
         *(
-            Parameter(f"cao.{name}_{end}", name, unit, value, 1e-6, 1e9, f"{end} that is possible of {what}", EQUATION)
+            Parameter(f"cao.{name}_{end}", name, unit, value, 1e-6, 1e9, f"{end} that is possible of {what}", CITATION)
             for name, (unit, least, most, what) in REGION.items()
             for end, value in (("least", least), ("most", most))
         ),
-        Parameter("cao.tolerance", "epsilon", "1", 2e-3, 1e-9, 1.0, "error of each measured term over its size", EQUATION),
-        Parameter("cao.steadiness", "s", "1", 0.05, 1e-6, 1.0, "change over speed up to which a pair of samples counts", EQUATION),
-        Parameter("cao.narrowing", "n", "1", 1.0, 0.0, 1.0, "1: two levels; 0: the lower level alone, in a fixed region", EQUATION),
-        Parameter("cao.opening", "o", "1", 0.01, 0.0, 1.0, "share by which a contradiction opens the region", EQUATION),
-        Parameter("cao.memory", "T", "s", 5.0, 1e-3, 1e6, "time over which contradictions are counted", EQUATION),
-        Parameter("cao.precision", "r", "1", 0.15, 0.0, 1e3, "relative error that a valid estimate may have", EQUATION),
+        Parameter("cao.tolerance", "epsilon", "1", 2e-3, 1e-9, 1.0, "error of each measured term over its size", CITATION),
+        Parameter("cao.steadiness", "s", "1", 0.05, 1e-6, 1.0, "change over speed up to which a pair of samples counts", CITATION),
+        Parameter("cao.narrowing", "n", "1", 1.0, 0.0, 1.0, "1: two levels; 0: the lower level alone, in a fixed region", CITATION),
+        Parameter("cao.opening", "o", "1", 0.01, 0.0, 1.0, "share by which a contradiction opens the region", CITATION),
+        Parameter("cao.memory", "T", "s", 5.0, 1e-3, 1e6, "time over which contradictions are counted", CITATION),
+        Parameter("cao.precision", "r", "1", 0.15, 0.0, 1e3, "relative error that a valid estimate may have", CITATION),
     ),
     (
-        *(State(f"theta{i}", "1", f"estimate ({i})", initial=lambda p, i=i: widest(p)[i].middle) for i in PLACES),
-        *(State(f"least{i}", "1", f"lower bound of the region ({i})", initial=lambda p, i=i: widest(p)[i].lo) for i in PLACES),
-        *(State(f"most{i}", "1", f"upper bound of the region ({i})", initial=lambda p, i=i: widest(p)[i].hi) for i in PLACES),
+        *(State(f"theta{i}", "1", f"estimate ({i})", initial=lambda p, i=i: widest(p)[i].middle) for i in INDICES),
+        *(State(f"least{i}", "1", f"lower bound of the region ({i})", initial=lambda p, i=i: widest(p)[i].lo) for i in INDICES),
+        *(State(f"most{i}", "1", f"upper bound of the region ({i})", initial=lambda p, i=i: widest(p)[i].hi) for i in INDICES),
         State("u_before", "V", "input before the last one"),
         State("v_before", "rad/s", "velocity before the last one"),
         State("doubt", "1", "share of samples that contradict the region"),

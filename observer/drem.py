@@ -14,12 +14,12 @@ import casadi as ca
 from bristle.model.basis import gaussian
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import extension, zhang
-from bristle.observer.besancon import STARTS
+from bristle.observer.besancon import START_VALUES
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
-SOURCE = "aranovskiy2017"
-FORGOTTEN = 10.0  # time constants after which the start of two sections is below a thousandth
+CITATION = "aranovskiy2017"
+SETTLED_AFTER = 10.0  # time constants after which the start of two sections is below a thousandth
 
 
 def means(s: Sample, alpha2: SX, b: SX) -> SX:
@@ -86,7 +86,7 @@ def adapt(p: Namespace, z: SX, h: SX, period: SX) -> dict[str, SX]:
     the record separates the parameters: well below kappa little moves. sigma0 and c stay positive by projection.
     Source: aranovskiy2017, with the extension of kreisselmeier1977.
     """
-    theta = ca.vertcat(*(p[f"step2_{name}"] for name in zhang.NAMES))
+    theta = ca.vertcat(*(p[f"step2_{name}"] for name in zhang.ESTIMATES))
     phi, y = extension.extend(p, h, z, period)
     delta, mixed = mix(phi, y)
     least = (p.noise / zhang.scales(p)) ** 2
@@ -94,7 +94,7 @@ def adapt(p: Namespace, z: SX, h: SX, period: SX) -> dict[str, SX]:
     largest = lifted[0] * lifted[1] * lifted[2] * lifted[3]
     share = (1 - ca.exp(-p.gain * period)) * delta / (delta**2 + (p.kappa * largest) ** 2)
     new = ca.fmax(theta + share * (mixed - delta * theta), ca.vertcat(*zhang.LOWEST))
-    return {**extension.write(phi, y), **{f"step2_{name}": new[i] for i, name in enumerate(zhang.NAMES)}}
+    return {**extension.write(phi, y), **{f"step2_{name}": new[i] for i, name in enumerate(zhang.ESTIMATES)}}
 
 
 def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
@@ -103,7 +103,7 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
     Nothing counts until the filters have forgotten that they began from zero, where w may be anything.
     """
     z, h, filters = regression(p, means(s, alpha2, b), s.period)
-    counts = p.step2_clear > FORGOTTEN / p.bandwidth
+    counts = p.step2_clear > SETTLED_AFTER / p.bandwidth
     new = {name: ca.if_else(counts, value, p[name]) for name, value in adapt(p, z, h, s.period).items()}
     return filters | new | {"step2_clear": p.step2_clear + s.period}
 
@@ -111,7 +111,7 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
 def published(p: Namespace, v: SX, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals); w is the filtered one."""
     w = p.step2_twice0
-    return {name: p[f"step2_{name}"] for name in zhang.NAMES}, {"v": v, "w": w, "F": w + alpha2 * v}
+    return {name: p[f"step2_{name}"] for name in zhang.ESTIMATES}, {"v": v, "w": w, "F": w + alpha2 * v}
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -122,13 +122,13 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 def parameters(prefix: str, bandwidth: float) -> tuple[Parameter, ...]:
     """Declare filter, extension, gain and starts under a method's name."""
     return (
-        Parameter(f"{prefix}.bandwidth", "a", "1/s", bandwidth, 1e-3, 1e5, "corner of each of the two low-pass sections", SOURCE),
+        Parameter(f"{prefix}.bandwidth", "a", "1/s", bandwidth, 1e-3, 1e5, "corner of each of the two low-pass sections", CITATION),
         extension.parameter(prefix, 0.02),
-        Parameter(f"{prefix}.gain", "gamma", "1/s", 2.0, 0.0, 1e6, "adaptation rate", SOURCE),
-        Parameter(f"{prefix}.kappa", "kappa", "1", 1e-6, 1e-12, 1.0, "Delta / D below which little moves", SOURCE),
-        Parameter(f"{prefix}.noise", "r", "rad/s3", 1.0, 1e-3, 1e6, "noise of z, the filtered w'", SOURCE),
-        *zhang.scale_parameters(prefix, SOURCE),
-        *zhang.start_parameters(prefix, STARTS, SOURCE),
+        Parameter(f"{prefix}.gain", "gamma", "1/s", 2.0, 0.0, 1e6, "adaptation rate", CITATION),
+        Parameter(f"{prefix}.kappa", "kappa", "1", 1e-6, 1e-12, 1.0, "Delta / D below which little moves", CITATION),
+        Parameter(f"{prefix}.noise", "r", "rad/s3", 1.0, 1e-3, 1e6, "noise of z, the filtered w'", CITATION),
+        *zhang.scale_parameters(prefix, CITATION),
+        *zhang.start_parameters(prefix, START_VALUES, CITATION),
     )
 
 
@@ -143,7 +143,7 @@ STATES = (
 METHOD = Method(
     "drem",
     "dynamic regressor extension and mixing for step 2; alpha2 and b known",
-    SOURCE,
+    CITATION,
     "y_v",
     (*zhang.known_parameters("drem"), *parameters("drem", 20.0)),
     STATES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bristle.observer import drem, smoothing, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
-BANDWIDTH = 15.0
+DREM_BANDWIDTH = 15.0
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -17,12 +17,12 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "drem_position",
     "dynamic regressor extension and mixing for step 2 from position; alpha2 and b known",
-    drem.SOURCE,
+    drem.CITATION,
     "y_theta",
     (
         *zhang.known_parameters("drem_position"),
         smoothing.parameter("drem_position"),
-        *drem.parameters("drem_position", BANDWIDTH),
+        *drem.parameters("drem_position", DREM_BANDWIDTH),
     ),
     (*smoothing.STATES, *drem.STATES),
     _equations,

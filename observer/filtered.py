@@ -11,7 +11,7 @@ import casadi as ca
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.bastin_gevers import fast, gate_parameter, regressor
 from bristle.observer.method import Sample, stack, unstack, vector_states
-from bristle.observer.rls import NAMES, Regression
+from bristle.observer.rls import ESTIMATES, Regression
 
 SX = ca.SX
 STATES = vector_states("filtered", "1", "filtered v', -v, u, -sgn v", 4)
@@ -46,5 +46,5 @@ def estimate_states() -> tuple[State, ...]:
     """Declare the estimates with their starts."""
     return tuple(
         State(f"theta{i}", unit, f"estimate of {name}", initial=lambda p, name=name: p[f"{name}_start"])
-        for i, (name, unit) in enumerate(NAMES.items())
+        for i, (name, unit) in enumerate(ESTIMATES.items())
     )

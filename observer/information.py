@@ -12,8 +12,8 @@ from bristle.model.variables import Namespace, State
 from bristle.observer.method import stack_symmetric, symmetric_states, unstack_symmetric
 
 SX = ca.SX
-FAINT = 1e-12  # share of each diagonal entry that keeps the elimination from dividing by zero
-NOTHING = 1e-150  # an entry as small as this is none
+SINGULAR_BELOW = 1e-12  # share of each diagonal entry that keeps the elimination from dividing by zero
+ZERO_ENTRY = 1e-150  # an entry as small as this is none
 
 
 def states(order: int) -> tuple[State, ...]:
@@ -44,9 +44,9 @@ class Factors:
         self.d, self.shares = [SX(0)] * n, [SX(0)] * n
         for j in range(n):
             scaled = [self.l[j][k] * self.d[k] for k in range(j)]
-            own = matrix[j, j] * (1 + FAINT) + NOTHING
+            own = matrix[j, j] * (1 + SINGULAR_BELOW) + ZERO_ENTRY
             self.d[j] = own - sum(self.l[j][k] * scaled[k] for k in range(j))
-            self.shares[j] = ca.if_else(matrix[j, j] > NOTHING, self.d[j] / own, 0)
+            self.shares[j] = ca.if_else(matrix[j, j] > ZERO_ENTRY, self.d[j] / own, 0)
             for i in range(j + 1, n):
                 self.l[i][j] = (matrix[i, j] - sum(self.l[i][k] * scaled[k] for k in range(j))) / self.d[j]
 

@@ -16,10 +16,10 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.method import stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
 
 SX = ca.SX
-STATES = 3  # theta, v, w
-ORDER = STATES + 5 + BASIS_COUNT  # alpha2, b, tau, c and one weight more than there are basis functions
-SOURCE = "jazwinski1970 chapter 8"
-PARTS = 4  # of a sample; in one piece the model is off by as much as a minute of an encoder tells of the parameters
+MOTION_STATES = 3  # theta, v, w
+FILTER_ORDER = MOTION_STATES + 5 + BASIS_COUNT  # alpha2, b, tau, c and one weight more than there are basis functions
+CITATION = "jazwinski1970 chapter 8"
+SUBSTEPS = 4  # of a sample; in one piece the model is off by as much as a minute of an encoder tells of the parameters
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
 def states(vector: str, covariance: str, spreads: Sequence[float] = ()) -> tuple[State, ...]:
     """Declare the vector and its covariance, which starts from these standard deviations, or from zero."""
     squares = [spread**2 for spread in spreads]
-    return (*vector_states("joint", "1", vector, ORDER), *symmetric_states("cov", "1", covariance, ORDER, squares))
+    return (*vector_states("joint", "1", vector, FILTER_ORDER), *symmetric_states("cov", "1", covariance, FILTER_ORDER, squares))
 
 
 def read(p: Namespace) -> tuple[SX, SX]:
     """Return (vector, covariance)."""
-    return stack(p, "joint", ORDER), stack_symmetric(p, "cov", ORDER)
+    return stack(p, "joint", FILTER_ORDER), stack_symmetric(p, "cov", FILTER_ORDER)
 
 
 def write(z: SX, covariance: SX) -> dict[str, SX]:
@@ -69,7 +69,7 @@ def write(z: SX, covariance: SX) -> dict[str, SX]:
 
 def signals(p: Namespace, meaning: Callable[[SX], Servo]) -> dict[str, SX]:
     """Return what the vector says of position, velocity and friction."""
-    friction = meaning(read(p)[0][STATES:]).friction(p.joint1, p.joint2)
+    friction = meaning(read(p)[0][MOTION_STATES:]).friction(p.joint1, p.joint2)
     return {"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": friction}
 
 
@@ -99,9 +99,9 @@ def advance(x: SX, servo: Servo, u: SX, h: SX) -> SX:
 
 
 def sample(x: SX, servo: Servo, u: SX, h: SX) -> SX:
-    """Advance (theta, v, w) over a sample in `PARTS` steps."""
-    for _ in range(PARTS):
-        x = advance(x, servo, u, h / PARTS)
+    """Advance (theta, v, w) over a sample in `SUBSTEPS` steps."""
+    for _ in range(SUBSTEPS):
+        x = advance(x, servo, u, h / SUBSTEPS)
     return x
 
 
@@ -110,14 +110,17 @@ def predict(meaning: Callable[[SX], Servo], z: SX, covariance: SX, u: SX, h: SX)
 
     Source: jazwinski1970 chapter 8 (extended Kalman filter).
     """
-    symbol = SX.sym("z", ORDER)
-    moved = sample(symbol[:STATES], meaning(symbol[STATES:]), u, h)
+    symbol = SX.sym("z", FILTER_ORDER)
+    moved = sample(symbol[:MOTION_STATES], meaning(symbol[MOTION_STATES:]), u, h)
     moved, slope = ca.substitute([moved, ca.jacobian(moved, symbol)], [symbol], [z])
     crossed = slope @ covariance
     new = SX(covariance)
-    new[:STATES, STATES:], new[STATES:, :STATES] = crossed[:, STATES:], crossed[:, STATES:].T
-    new[:STATES, :STATES] = crossed @ slope.T
-    return ca.vertcat(moved, z[STATES:]), new
+    new[:MOTION_STATES, MOTION_STATES:], new[MOTION_STATES:, :MOTION_STATES] = (
+        crossed[:, MOTION_STATES:],
+        crossed[:, MOTION_STATES:].T,
+    )
+    new[:MOTION_STATES, :MOTION_STATES] = crossed @ slope.T
+    return ca.vertcat(moved, z[MOTION_STATES:]), new
 
 
 def correct(z: SX, covariance: SX, error: SX, variance: SX, gate: SX) -> tuple[SX, SX, SX]:

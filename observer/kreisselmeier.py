@@ -12,7 +12,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update, sta
 from bristle.observer.rls import Regression
 
 SX = ca.SX
-SOURCE = "kreisselmeier1977"
+CITATION = "kreisselmeier1977"
 
 
 def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
@@ -34,8 +34,8 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare forgetting, gain and starts under a method's name."""
     return (
         extension.parameter(prefix, 0.02),
-        Parameter(f"{prefix}.gain", "g", "1", 10.0, 0.0, 1e12, "adaptation gain", SOURCE),
-        *start_parameters(prefix, SOURCE),
+        Parameter(f"{prefix}.gain", "g", "1", 10.0, 0.0, 1e12, "adaptation gain", CITATION),
+        *start_parameters(prefix, CITATION),
     )
 
 
@@ -48,7 +48,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "kreisselmeier",
     "Kreisselmeier observer of alpha2, b and Fc, gated to high speed",
-    SOURCE,
+    CITATION,
     "y_v",
     (*filtered.parameters("kreisselmeier", 20.0), *parameters("kreisselmeier")),
     (*filtered.STATES, *extension.states(3), *filtered.estimate_states()),

@@ -15,7 +15,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "kreisselmeier_position",
     "Kreisselmeier observer of alpha2, b and Fc from position, gated to high speed",
-    kreisselmeier.SOURCE,
+    kreisselmeier.CITATION,
     "y_theta",
     (*rls.filter_parameters("kreisselmeier_position"), *kreisselmeier.parameters("kreisselmeier_position")),
     (*rls.FILTER_STATES, *extension.states(3), *filtered.estimate_states()),

@@ -11,7 +11,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update, sta
 from bristle.observer.rls import Regression
 
 SX = ca.SX
-SOURCE = "luders1973"
+CITATION = "luders1973"
 
 
 def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
@@ -29,7 +29,7 @@ def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
 
 def parameters(prefix: str, gains: tuple[float, float, float]) -> tuple[Parameter, ...]:
     """Declare gains and starts under a method's name."""
-    return (*gamma_parameters(prefix, gains, SOURCE), *start_parameters(prefix, SOURCE))
+    return (*gamma_parameters(prefix, gains, CITATION), *start_parameters(prefix, CITATION))
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -41,7 +41,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "luders_narendra",
     "Luders-Narendra observer of alpha2, b and Fc on filtered signals, normalised, gated to high speed",
-    SOURCE,
+    CITATION,
     "y_v",
     (*filtered.parameters("luders_narendra", 50.0), *parameters("luders_narendra", (100.0, 100.0, 200.0))),
     (*filtered.STATES, *filtered.estimate_states()),

@@ -15,7 +15,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "luders_narendra_position",
     "Luders-Narendra observer of alpha2, b and Fc from position, normalised, gated to high speed",
-    luders_narendra.SOURCE,
+    luders_narendra.CITATION,
     "y_theta",
     (
         *rls.filter_parameters("luders_narendra_position", cutoff=50.0, hold_off=0.08),

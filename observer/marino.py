@@ -24,7 +24,7 @@ from bristle.observer.bastin_gevers import gamma_parameters, gate_parameter, sta
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
-SOURCE = "marino1990"
+CITATION = "marino1990"
 
 
 @dataclass(frozen=True)
@@ -130,16 +130,16 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "marino",
     "Marino observer of alpha2, b and Fc from position, n = 2, gated to high speed",
-    SOURCE,
+    CITATION,
     "y_theta",
     (
         gate_parameter("marino"),
-        Parameter("marino.cutoff", "a", "1/s", 150.0, 1e-3, 1e5, "corner of the two low-pass sections before the gate", SOURCE),
-        Parameter("marino.hold_off", "t_h", "s", 0.07, 0.0, 10.0, "wait after the gate's opening", SOURCE),
-        Parameter("marino.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "rate at which the output error decays", SOURCE),
-        Parameter("marino.zero", "b2", "1/s", 200.0, 1e-3, 1e4, "rate of the filtered transformation", SOURCE),
-        *gamma_parameters("marino", (4e6, 4e6, 8e6), SOURCE),
-        *start_parameters("marino", SOURCE),
+        Parameter("marino.cutoff", "a", "1/s", 150.0, 1e-3, 1e5, "corner of the two low-pass sections before the gate", CITATION),
+        Parameter("marino.hold_off", "t_h", "s", 0.07, 0.0, 10.0, "wait after the gate's opening", CITATION),
+        Parameter("marino.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "rate at which the output error decays", CITATION),
+        Parameter("marino.zero", "b2", "1/s", 200.0, 1e-3, 1e4, "rate of the filtered transformation", CITATION),
+        *gamma_parameters("marino", (4e6, 4e6, 8e6), CITATION),
+        *start_parameters("marino", CITATION),
     ),
     (
         *vector_states("x", "1", "state estimate", 2),

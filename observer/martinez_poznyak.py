@@ -17,12 +17,12 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import zhang
-from bristle.observer.besancon import STARTS
+from bristle.observer.besancon import START_VALUES
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 from bristle.observer.rls import least_squares
 
 SX = ca.SX
-SOURCE = "martinez2001"
+CITATION = "martinez2001"
 
 
 def switching(e: SX, k: SX, rho: SX, period: SX) -> tuple[SX, SX]:
@@ -53,7 +53,7 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
 
     Source: martinez2001.
     """
-    theta = ca.vertcat(*(p[f"step2_{name}"] for name in zhang.NAMES))
+    theta = ca.vertcat(*(p[f"step2_{name}"] for name in zhang.ESTIMATES))
     ups, covariance, filtered = stack(p, "upsilon", 4), stack(p, "step2_p", 4, 4), stack(p, "filtered", 5)
     x2, ahead = predict(p.x1, ups, theta, s)
     v = p.x0 + s.period * (b * s.u - alpha2 * (s.y0 + s.y1) / 2 + (p.x1 + x2) / 2)
@@ -77,13 +77,13 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
         **unstack("filtered", filtered),
         **unstack("step2_p", ca.if_else(learns, spread, covariance)),
         "step2_clear": clear,
-        **{f"step2_{name}": new[i] for i, name in enumerate(zhang.NAMES)},
+        **{f"step2_{name}": new[i] for i, name in enumerate(zhang.ESTIMATES)},
     }
 
 
 def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals)."""
-    return {name: p[f"step2_{name}"] for name in zhang.NAMES}, {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
+    return {name: p[f"step2_{name}"] for name in zhang.ESTIMATES}, {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -95,16 +95,18 @@ def parameters(prefix: str, bandwidth: float, noise: float) -> tuple[Parameter, 
     """Declare gains, least squares and starts under a method's name."""
     spread = "standard deviation of nu that least squares expect"
     return (
-        Parameter(f"{prefix}.k", "k", "1/s", 10.0, 0.0, 1e4, "linear correction of v^", SOURCE),
-        Parameter(f"{prefix}.rho", "rho", "rad/s2", 100.0, 0.0, 1e6, "switching correction of v^", SOURCE),
-        Parameter(f"{prefix}.kappa", "kappa", "1/s", 50.0, 1e-3, 1e4, "rate at which the error of x2^ decays", SOURCE),
-        Parameter(f"{prefix}.sliding_time", "t_s", "s", 0.2, 0.0, 10.0, "time it must slide before the parameters move", SOURCE),
+        Parameter(f"{prefix}.k", "k", "1/s", 10.0, 0.0, 1e4, "linear correction of v^", CITATION),
+        Parameter(f"{prefix}.rho", "rho", "rad/s2", 100.0, 0.0, 1e6, "switching correction of v^", CITATION),
+        Parameter(f"{prefix}.kappa", "kappa", "1/s", 50.0, 1e-3, 1e4, "rate at which the error of x2^ decays", CITATION),
+        Parameter(f"{prefix}.sliding_time", "t_s", "s", 0.2, 0.0, 10.0, "time it must slide before the parameters move", CITATION),
         Parameter(f"{prefix}.bandwidth", "a", "1/s", bandwidth, 1e-3, 1e5, "corner of the low-pass filter of nu", "utkin1992"),
-        Parameter(f"{prefix}.fading", "q", "1/s", 0.05, 0.0, 1e3, "rate at which least squares forget", SOURCE),
-        Parameter(f"{prefix}.noise", "r", "rad/s2", noise, 1e-6, 1e6, spread, SOURCE),
-        Parameter(f"{prefix}.uncertainty", "P0", "1", 1.0, 1e-9, 1e9, "start of the covariance, in squares of the scales", SOURCE),
-        *zhang.scale_parameters(prefix, SOURCE),
-        *zhang.start_parameters(prefix, STARTS, SOURCE),
+        Parameter(f"{prefix}.fading", "q", "1/s", 0.05, 0.0, 1e3, "rate at which least squares forget", CITATION),
+        Parameter(f"{prefix}.noise", "r", "rad/s2", noise, 1e-6, 1e6, spread, CITATION),
+        Parameter(
+            f"{prefix}.uncertainty", "P0", "1", 1.0, 1e-9, 1e9, "start of the covariance, in squares of the scales", CITATION
+        ),
+        *zhang.scale_parameters(prefix, CITATION),
+        *zhang.start_parameters(prefix, START_VALUES, CITATION),
     )
 
 
@@ -124,7 +126,7 @@ STATES = (
 METHOD = Method(
     "martinez_poznyak",
     "switching observer with least squares for step 2, after Martinez and Poznyak; alpha2 and b known",
-    SOURCE,
+    CITATION,
     "y_v",
     (*zhang.known_parameters("martinez_poznyak"), *parameters("martinez_poznyak", 1000.0, 0.1)),
     STATES,

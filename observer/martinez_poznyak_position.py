@@ -5,8 +5,8 @@ from __future__ import annotations
 from bristle.observer import martinez_poznyak, smoothing, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
-BANDWIDTH = 10.0  # 1/s; the counts of an encoder are in nu, which has to be averaged for longer
-NOISE = 2.0  # rad/s2
+MARTINEZ_BANDWIDTH = 10.0  # 1/s; the counts of an encoder are in nu, which has to be averaged for longer
+EQUIVALENT_NOISE = 2.0  # rad/s2
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -19,12 +19,12 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "martinez_poznyak_position",
     "switching observer with least squares for step 2 from position, after Martinez and Poznyak; alpha2 and b known",
-    martinez_poznyak.SOURCE,
+    martinez_poznyak.CITATION,
     "y_theta",
     (
         *zhang.known_parameters("martinez_poznyak_position"),
         smoothing.parameter("martinez_poznyak_position"),
-        *martinez_poznyak.parameters("martinez_poznyak_position", BANDWIDTH, NOISE),
+        *martinez_poznyak.parameters("martinez_poznyak_position", MARTINEZ_BANDWIDTH, EQUIVALENT_NOISE),
     ),
     (*smoothing.STATES, *martinez_poznyak.STATES),
     _equations,

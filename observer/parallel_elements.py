@@ -25,14 +25,14 @@ from bristle.observer.method import (
 )  # fmt: skip
 
 SX = ca.SX
-EQUATION = "dixit2008 eq. (15) and (17), elements side by side as in iwan1966"
-FIT = "ljung1999 section 11.2"
+CITATION = "dixit2008 eq. (15) and (17), elements side by side as in iwan1966"
+FIT_CITATION = "ljung1999 section 11.2"
 GRID = (30.0, 100.0, 300.0)  # 1/rad
 WEIGHTS = BASIS_COUNT + 1
 CHI = len(GRID) * WEIGHTS
-ENTRIES = 2 + CHI  # alpha2, b, sigma_ij
-START = [1e4] * 2 + [1e8] * CHI  # variances
-LARGEST = ENTRIES * 1e8  # size that forgetting may give the covariance
+ENTRY_COUNT = 2 + CHI  # alpha2, b, sigma_ij
+START_VARIANCES = [1e4] * 2 + [1e8] * CHI  # variances
+LARGEST = ENTRY_COUNT * 1e8  # size that forgetting may give the covariance
 
 
 def _distances(p: Namespace) -> SX:
@@ -63,11 +63,11 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     chi, new = stack(p, "chi", CHI), _relaxed(p, s)
     raw = ca.vertcat((s.y1 - s.y0) / s.period, -(s.y0 + s.y1) / 2, s.u, -(chi + new) / 2)
     gain = 1 - ca.exp(-p.cutoff * s.period)
-    once = stack(p, "once", ENTRIES + 1)
+    once = stack(p, "once", ENTRY_COUNT + 1)
     once_new = once + gain * (raw - once)
-    row = stack(p, "twice", ENTRIES + 1)
+    row = stack(p, "twice", ENTRY_COUNT + 1)
     row_new = row + gain * (once_new - row)
-    theta, covariance = stack(p, "theta", ENTRIES), stack_symmetric(p, "cov", ENTRIES)
+    theta, covariance = stack(p, "theta", ENTRY_COUNT), stack_symmetric(p, "cov", ENTRY_COUNT)
     h, error = row_new[1:], row_new[0] - ca.dot(row_new[1:], theta)
     change, covariance_new = rls.least_squares(covariance, h, error, SX(1), p.forgetting, SX(LARGEST))
     levels = theta[2::WEIGHTS] / _distances(p)
@@ -88,22 +88,24 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "parallel_elements",
     f"recursive least squares of alpha2, b and {len(GRID)} friction elements side by side, whose distances are chosen",
-    EQUATION,
+    CITATION,
     "y_v",
     (
         *(
-            Parameter(f"parallel_elements.c{i}", f"c{i}", "1/rad", c, 1e-6, 1e9, f"inverse distance of element {i}", EQUATION)
+            Parameter(f"parallel_elements.c{i}", f"c{i}", "1/rad", c, 1e-6, 1e9, f"inverse distance of element {i}", CITATION)
             for i, c in enumerate(GRID, start=1)
         ),
-        Parameter("parallel_elements.cutoff", "a", "rad/s", 150.0, 1e-3, 1e5, "corner of each of two low-pass sections", FIT),
-        Parameter("parallel_elements.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", FIT),
+        Parameter(
+            "parallel_elements.cutoff", "a", "rad/s", 150.0, 1e-3, 1e5, "corner of each of two low-pass sections", FIT_CITATION
+        ),
+        Parameter("parallel_elements.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", FIT_CITATION),
     ),
     (
         *vector_states("chi", "1", "filtered basis functions", CHI),
-        *vector_states("once", "1", "signals after one section", ENTRIES + 1),
-        *vector_states("twice", "1", "signals after two sections", ENTRIES + 1),
-        *vector_states("theta", "1", "alpha2, b, sigma_ij", ENTRIES),
-        *symmetric_states("cov", "1", "their covariance", ENTRIES, START),
+        *vector_states("once", "1", "signals after one section", ENTRY_COUNT + 1),
+        *vector_states("twice", "1", "signals after two sections", ENTRY_COUNT + 1),
+        *vector_states("theta", "1", "alpha2, b, sigma_ij", ENTRY_COUNT),
+        *symmetric_states("cov", "1", "their covariance", ENTRY_COUNT, START_VARIANCES),
     ),
     _equations,
 )

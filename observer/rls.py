@@ -12,9 +12,9 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
-EQUATION = "ljung1999 section 11.2; dixit2008 eq. (23)"
-NAMES = units("alpha2", "b", "Fc")
-GATE = math.radians(85.0)
+CITATION = "ljung1999 section 11.2; dixit2008 eq. (23)"
+ESTIMATES = units("alpha2", "b", "Fc")
+MIN_SPEED = math.radians(85.0)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def fit(p: Namespace, s: Sample) -> dict[str, SX]:
 
 def estimates(p: Namespace) -> dict[str, SX]:
     """Return the estimates by name."""
-    return {name: p[f"theta{i}"] for i, name in enumerate(NAMES)}
+    return {name: p[f"theta{i}"] for i, name in enumerate(ESTIMATES)}
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -102,12 +102,12 @@ def _covariance(row: int, column: int) -> State:
     return State(f"p{3 * row + column}", "1", "covariance of the estimates", initial=start)
 
 
-def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027, vc: float = GATE) -> tuple[Parameter, ...]:
+def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027, vc: float = MIN_SPEED) -> tuple[Parameter, ...]:
     """Declare gate and filter under a method's name."""
     return (
-        Parameter(f"{prefix}.vc", "vc", "rad/s", vc, 0.0, 1e3, "speed above which the fit runs", EQUATION),
-        Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 1e-3, 1e5, "corner of each of the two low-pass sections", EQUATION),
-        Parameter(f"{prefix}.hold_off", "t_h", "s", hold_off, 0.0, 10.0, "wait after low speed (the filters forget it)", EQUATION),
+        Parameter(f"{prefix}.vc", "vc", "rad/s", vc, 0.0, 1e3, "speed above which the fit runs", CITATION),
+        Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 1e-3, 1e5, "corner of each of the two low-pass sections", CITATION),
+        Parameter(f"{prefix}.hold_off", "t_h", "s", hold_off, 0.0, 10.0, "wait after low speed (the filters forget it)", CITATION),
     )
 
 
@@ -115,8 +115,8 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare gate, filter and forgetting under a method's name."""
     return (
         *filter_parameters(prefix),
-        Parameter(f"{prefix}.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", EQUATION),
-        Parameter(f"{prefix}.p_start", "P0", "1", 1e4, 1e-9, 1e12, "start of the covariance (of each estimate)", EQUATION),
+        Parameter(f"{prefix}.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", CITATION),
+        Parameter(f"{prefix}.p_start", "P0", "1", 1e4, 1e-9, 1e12, "start of the covariance (of each estimate)", CITATION),
     )
 
 
@@ -130,7 +130,7 @@ FILTER_STATES = (
 )
 STATES = (
     *FILTER_STATES,
-    *(State(f"theta{i}", unit, f"estimate of {name}") for i, (name, unit) in enumerate(NAMES.items())),
+    *(State(f"theta{i}", unit, f"estimate of {name}") for i, (name, unit) in enumerate(ESTIMATES.items())),
     *(_covariance(row, column) for row in range(3) for column in range(3)),
 )
 

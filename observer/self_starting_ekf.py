@@ -22,23 +22,23 @@ import casadi as ca
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, kalman, rls
-from bristle.observer.kalman import STATES
+from bristle.observer.kalman import MOTION_STATES
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
-NAMES = units("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau")
+ESTIMATES = units("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau")
 GROWING = "ljung1983 chapter 5 (forgetting that fades)"
 ADAPTIVE = "mehra1970"
-CHANGE = "basseville1993 chapter 2"
-MEANS = kalman.ORDER - STATES
-V, W, ALPHA2, B, LEVELS, LN_C, TAU = 1, 2, 3, 4, (5, 6, 7), 8, 9  # places in the vector
+CHANGE_CITE = "basseville1993 chapter 2"
+MEANS = kalman.FILTER_ORDER - MOTION_STATES
+V, W, ALPHA2, DRIVE, LEVELS, LN_C, TAU = 1, 2, 3, 4, (5, 6, 7), 8, 9  # places in the vector
 # The start: how much must be known, and how far it is trusted.
 DISTINCT = 0.02  # determinant of the correlations of -v, u and -sgn v
 LONGEST_START = 5.0  # s, of motion, after which it starts in any case
 RIDGE = 1e-3  # share of the information, which shrinks what the start does not show
 LEVEL = (0.1, 2.0)  # bounds of Fc over the rms drive acceleration b u
 LEAST_VISCOUS = 0.05  # of alpha2: acceleration at the rms speed over that of the drive
-SPREAD = {"v": 0.5, "b": 0.2, "alpha2": 0.5}  # sd over rms speed, over b, over Fc at the rms speed; the levels' is Fc
+SD = {"v": 0.5, "b": 0.2, "alpha2": 0.5}  # sd over rms speed, over b, over Fc at the rms speed; the levels' is Fc
 SMALLEST_LEVEL = 0.01  # of Fc at the start
 LARGEST_LEVEL = (4.0, 10.0)  # of that too: Coulomb friction, and the weights of the basis functions either way
 PASSED = 10.0  # samples in which the presliding distance of the start is passed at the rms speed, at least
@@ -50,10 +50,10 @@ FULL_MISFIT = 0.3  # beyond that by this much, the model counts as wrong altoget
 OFF = 2.0  # the mean of late, which scatters more, up to which the model may be right; beyond it by one, it is wrong altogether
 FAINTEST = 1e-5  # share of the process noise that stays when the model is right
 SETTLED = 5.0  # s after a start, from which the innovations are judged
-BEFORE = 2.0  # s: the innovations of late are compared with their mean as it was one to two of these ago
+MEAN_AGE = 2.0  # s: the innovations of late are compared with their mean as it was one to two of these ago
 LOST = (2.0, 3.0, 100.0)  # between so many s after a start the innovations of late stay above this: it went nowhere (else: below 1)
 FIRST_MEMORY = 1.0  # s
-SAME = 100.0  # samples with the same count, at most, that share one rounding error
+SHARED_COUNT = 100.0  # samples with the same count, at most, that share one rounding error
 FADING = 8  # power of time with which the early noise goes
 DOUBT = 10.0  # s after a start, up to which the model does not count as right whatever the innovations say
 WATCHFUL = 10.0  # s after a start, from which a change is looked for
@@ -93,11 +93,11 @@ def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX) -> _Start:
     level = ca.fmax(ca.fmin(ca.fmax(friction, LEVEL[0] * drive), LEVEL[1] * drive), 1e-12)
     alpha2 = ca.fmax(alpha2, LEAST_VISCOUS * drive / ca.fmax(speed, 1e-9))
     ln_c = ca.log(ca.fmin(p.c_start, 1 / (PASSED * ca.fmax(speed, 1e-9) * s.period)))  # beyond it nothing would lead back
-    ln_c = ca.if_else(p.resumes > 0, p[f"mean{LN_C - STATES}"], ln_c)
-    viscous = SPREAD["alpha2"] * level / ca.fmax(speed, 1e-9)
+    ln_c = ca.if_else(p.resumes > 0, p[f"mean{LN_C - MOTION_STATES}"], ln_c)
+    viscous = SD["alpha2"] * level / ca.fmax(speed, 1e-9)
     joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ln_c, p.tau_start)
     spread = ca.vertcat(
-        p.resolution, SPREAD["v"] * speed, level, viscous, SPREAD["b"] * ca.fabs(b), level, level, level, p.c_spread, p.tau_spread
+        p.resolution, SD["v"] * speed, level, viscous, SD["b"] * ca.fabs(b), level, level, level, p.c_spread, p.tau_spread
     )
     enough = ca.logic_or(distinct > DISTINCT, count > LONGEST_START)
     return _Start(ca.logic_and(count > p.start_time, enough), joint, spread, level, speed)
@@ -112,9 +112,9 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
     """
     h = s.period
     z, covariance = kalman.predict(_servo, *kalman.read(p), s.u, h)
-    prior = stack(p, "prior", kalman.ORDER)
+    prior = stack(p, "prior", kalman.FILTER_ORDER)
     known = SX(1)
-    for i in range(STATES, kalman.ORDER):
+    for i in range(MOTION_STATES, kalman.FILTER_ORDER):
         known = ca.logic_and(known, covariance[i, i] <= prior[i] ** 2)
     memory = ca.fmin(p.age, p.longest_memory) + FIRST_MEMORY
     covariance = covariance * (1 + ca.if_else(known, p.memory * h / memory, 0))
@@ -122,9 +122,9 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
     early = 1 / (1 + (p.age / p.early_time) ** FADING)
     doubt = 1 / (1 + (p.age / DOUBT) ** FADING)
     noise = p.level**2 * (ca.fmax(ca.fmax(misfit, FAINTEST), doubt) + p.early_noise * early)
-    rates = [SX(0)] * kalman.ORDER
+    rates = [SX(0)] * kalman.FILTER_ORDER
     rates[V], rates[W] = p.noise_v * noise, p.noise_w * noise
-    same = ca.fmin(ca.fmax(p.resolution / ca.fmax(ca.fabs(z[V]) * h, 1e-12), 1), SAME)
+    same = ca.fmin(ca.fmax(p.resolution / ca.fmax(ca.fabs(z[V]) * h, 1e-12), 1), SHARED_COUNT)
     quantum = kalman.rounding(p.resolution) * same
     variance = quantum * (1 + p.misfit_noise * misfit + p.early_noise / 10 * early)
     error = s.y1 + p.resolution / 2 - z[0]
@@ -148,7 +148,7 @@ def _judge(p: Namespace, h: SX, size: SX) -> tuple[dict[str, SX], SX, SX]:
     late = p.innovation_late + h / p.change_window * (size - p.innovation_late)
     share = ca.if_else(p.age > SETTLED, h / (p.age - SETTLED + FIRST_MEMORY), 0)
     mean = p.innovation + share * (size - p.innovation)
-    kept = ca.floor(p.age / BEFORE) != ca.floor((p.age + h) / BEFORE)
+    kept = ca.floor(p.age / MEAN_AGE) != ca.floor((p.age + h) / MEAN_AGE)
     averages = {
         "innovation": mean,
         "innovation_late": late,
@@ -183,8 +183,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         **r.next,
         **information.write(ca.if_else(runs, 0, seen)),
         **kalman.write(choose(z, start.joint, follow), choose(covariance, ca.diag(start.spread**2), cov)),
-        **unstack("prior", choose(stack(p, "prior", kalman.ORDER), start.spread, stack(p, "prior", kalman.ORDER))),
-        **unstack("mean", choose(_averaged(p, z, h), start.joint[STATES:], stack(p, "mean", MEANS))),
+        **unstack("prior", choose(stack(p, "prior", kalman.FILTER_ORDER), start.spread, stack(p, "prior", kalman.FILTER_ORDER))),
+        **unstack("mean", choose(_averaged(p, z, h), start.joint[MOTION_STATES:], stack(p, "mean", MEANS))),
         "level": choose(p.level, start.level, p.level),
         "ln_c": choose(p.ln_c, start.joint[LN_C], p.ln_c),
         "runs": ca.if_else(runs, ca.logic_not(ca.logic_or(changed, lost)), go),
@@ -203,7 +203,7 @@ def _averaged(p: Namespace, z: SX, h: SX) -> SX:
     Source: polyak1992 (averages of estimates).
     """
     mean = stack(p, "mean", MEANS)
-    return mean + h / ca.fmax(p.averaging, h) * (z[STATES:] - mean)
+    return mean + h / ca.fmax(p.averaging, h) * (z[MOTION_STATES:] - mean)
 
 
 def _estimates(p: Namespace) -> dict[str, SX]:
@@ -219,8 +219,8 @@ def _valid(p: Namespace) -> dict[str, SX]:
     Source: jazwinski1970 chapter 8; sigma_i = exp(ln c) G_i to first order.
     """
     z, covariance = kalman.read(p)
-    unit = SX.eye(kalman.ORDER)
-    slopes = {"alpha2": (unit[:, ALPHA2], z[ALPHA2]), "b": (unit[:, B], z[B]), "c": (unit[:, LN_C], SX(1))}
+    unit = SX.eye(kalman.FILTER_ORDER)
+    slopes = {"alpha2": (unit[:, ALPHA2], z[ALPHA2]), "b": (unit[:, DRIVE], z[DRIVE]), "c": (unit[:, LN_C], SX(1))}
     slopes |= {f"sigma{i}": (unit[:, place] + z[place] * unit[:, LN_C], z[LEVELS[0]]) for i, place in enumerate(LEVELS)}
     slopes |= {"Fc": (unit[:, LEVELS[0]], z[LEVELS[0]]), "tau": (unit[:, TAU], p.tau_spread)}
     return {
@@ -240,9 +240,9 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         *rls.filter_parameters(prefix, cutoff=60.0, hold_off=0.05, vc=math.radians(20.0)),
         own("start_time", "T0", "s", 0.7, 1e-3, 1e3, "motion that a start is taken from, at least", "ljung1999 section 11.2"),
         own("c_start", "c", "1/rad", 100.0, 1e-6, 1e9, "start of the estimate of c", "dixit2008 eq. (17)"),
-        own("c_spread", "sd(ln c)", "1", 1.5, 1e-3, 10.0, "how far that start may be off, logarithmically", kalman.SOURCE),
+        own("c_spread", "sd(ln c)", "1", 1.5, 1e-3, 10.0, "how far that start may be off, logarithmically", kalman.CITATION),
         own("tau_start", "tau", "s", 0.005, 0.0, 1.0, "start of the estimate of tau", "dixit2008 eq. (11)"),
-        own("tau_spread", "sd(tau)", "s", 0.01, 0.0, 1.0, "how far that start may be off", kalman.SOURCE),
+        own("tau_spread", "sd(tau)", "s", 0.01, 0.0, 1.0, "how far that start may be off", kalman.CITATION),
         own("noise_w", "q_w", "1/s", 6e-4, 0.0, 1e6, "process noise of w over Fc^2", ADAPTIVE),
         own("noise_v", "q_v", "s", 6e-7, 0.0, 1e6, "process noise of v over Fc^2", ADAPTIVE),
         own("early_noise", "q_0", "1", 100.0, 0.0, 1e9, "how much larger it is at a start", GROWING),
@@ -251,9 +251,9 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("memory", "k", "1", 1.0, 0.0, 10.0, "weight of the past: (time since the start / now)^k", GROWING),
         own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
         own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
-        own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE),
-        own("surprise", "s", "1", 50.0, 1.0, 1e12, "innovations of late that are a change where the model was right", CHANGE),
-        own("change_ratio", "rho", "1", 1e4, 1.0, 1e12, "growth of the innovations that is a change", CHANGE),
+        own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE_CITE),
+        own("surprise", "s", "1", 50.0, 1.0, 1e12, "innovations of late that are a change where the model was right", CHANGE_CITE),
+        own("change_ratio", "rho", "1", 1e4, 1.0, 1e12, "growth of the innovations that is a change", CHANGE_CITE),
     )
 
 
@@ -267,7 +267,7 @@ METHOD = Method(
         *rls.FILTER_STATES,
         *information.states(4),
         *kalman.states("theta, v, w, alpha2, b, G0, G1, G2, ln c, tau", "their covariance"),
-        *vector_states("prior", "1", "their standard deviations at the start", kalman.ORDER),
+        *vector_states("prior", "1", "their standard deviations at the start", kalman.FILTER_ORDER),
         *vector_states("mean", "1", "averages of alpha2, b, G0, G1, G2, ln c, tau", MEANS),
         State("level", "rad/s2", "Coulomb friction at the start"),
         State("ln_c", "1", "ln c at the start"),

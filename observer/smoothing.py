@@ -8,7 +8,7 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.method import Sample, stack, unstack, vector_states
 
 SX = ca.SX
-SOURCE = "dixit2008 section III, remark on position measurement"
+CITATION = "dixit2008 section III, remark on position measurement"
 STATES = (
     *vector_states("smooth", "1", "velocity and voltage after one section", 2),
     *vector_states("smoother", "1", "velocity and voltage after two sections", 2),
@@ -20,7 +20,7 @@ STATES = (
 def parameter(prefix: str) -> Parameter:
     """Declare the corner of both sections."""
     text = "corner of each of the two low-pass sections of velocity and voltage"
-    return Parameter(f"{prefix}.smoothing", "a_v", "1/s", 800.0, 1e-3, 1e5, text, SOURCE)
+    return Parameter(f"{prefix}.smoothing", "a_v", "1/s", 800.0, 1e-3, 1e5, text, CITATION)
 
 
 def smooth(p: Namespace, s: Sample) -> tuple[Sample, dict[str, SX]]:

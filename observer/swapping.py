@@ -18,12 +18,12 @@ from bristle.observer import information, zhang
 from bristle.observer.method import EquationContext, Sample, stack, unstack, vector_states
 
 SX = ca.SX
-EQUATION = "dixit2008 eq. (20)-(22)"
-NAMES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
-SIGNALS = 6  # v, u, phi1 v, phi2 v, |v| u, v |v|
-ENTRIES = 8
-ROW = ENTRIES + 1  # the regressor, and what it explains behind it
-FORGOTTEN = 10.0  # filter time constants after which what was before the first sample no longer counts
+CITATION = "dixit2008 eq. (20)-(22)"
+ESTIMATES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
+SIGNAL_COUNT = 6  # v, u, phi1 v, phi2 v, |v| u, v |v|
+ENTRY_COUNT = 8
+ROW = ENTRY_COUNT + 1  # the regressor, and what it explains behind it
+SETTLED_AFTER = 10.0  # filter time constants after which what was before the first sample no longer counts
 LOWEST = (0.0, -1e6, 1.0, -1e9, -1e9, 1.0)  # projection, as in zhang.py; alpha2 is not negative either
 
 
@@ -41,7 +41,7 @@ def advance(context: EquationContext, s: Sample, start: SX, end: SX) -> tuple[SX
     """
     p = context.p
     f = zhang.make_filter(context, SX([2.0, 1.0]), p.cutoff, s.period)
-    x = f.phi @ stack(p, "filtered", 2, SIGNALS) + f.m0[:, 1] @ start + f.m1[:, 1] @ end
+    x = f.phi @ stack(p, "filtered", 2, SIGNAL_COUNT) + f.m0[:, 1] @ start + f.m1[:, 1] @ end
     once, k1, k2 = x[1, :] - f.k[0] * x[0, :], f.k[0], f.k[1]  # x' = [x2 - k1 x1, f - k2 x1], so that s L is this
     v, _, phi1, phi2, vu, vv = ca.horzsplit(x[0, :])
     twice = end[0] - k2 * v - k1 * once[0]
@@ -59,15 +59,15 @@ def estimate(r: SX) -> tuple[SX, SX, SX, SX]:
     eight = information.Factors(r)
     theta = eight.regression()
     alpha2, b, c = theta[0], theta[1], theta[7]
-    slope = SX(ENTRIES, len(NAMES))  # of g by the six
+    slope = SX(ENTRY_COUNT, len(ESTIMATES))  # of g by the six
     for i in range(5):
         slope[i, i] = 1
     slope[5, 1] = slope[6, 0] = c
     slope[5, 5], slope[6, 5], slope[7, 5] = b, alpha2, 1
-    weighted = r[:ENTRIES, :ENTRIES] @ slope
+    weighted = r[:ENTRY_COUNT, :ENTRY_COUNT] @ slope
     six = information.Factors(slope.T @ weighted)
     inconsistent = weighted[5, :].T * (theta[5] - c * b) + weighted[6, :].T * (theta[6] - c * alpha2)
-    least = ca.mmin(ca.vertcat(*eight.shares[:ENTRIES]))
+    least = ca.mmin(ca.vertcat(*eight.shares[:ENTRY_COUNT]))
     return ca.vertcat(theta[:5], c) + six.solve(inconsistent), six.inverse_diagonal(), eight.d[-1], least
 
 
@@ -79,13 +79,13 @@ def step(context: EquationContext, s: Sample, start: SX, end: SX) -> dict[str, S
     """
     p = context.p
     x, row = advance(context, s, start, end)
-    counts = p.samples * s.period * p.cutoff > FORGOTTEN
+    counts = p.samples * s.period * p.cutoff > SETTLED_AFTER
     memory = ca.exp(-s.period / p.memory)
     before = information.read(p, ROW)
     r = ca.if_else(counts, memory * before + row.T @ row, before)
     rows = ca.if_else(counts, memory * p.rows + 1, p.rows)
     six, inverse, left, least = estimate(r)
-    free = rows * p.cutoff * s.period / 2 - ENTRIES  # observations beyond the unknowns
+    free = rows * p.cutoff * s.period / 2 - ENTRY_COUNT  # observations beyond the unknowns
     variance = left * inverse / ca.fmax(free, 1e-9)
     kept = ca.fmin(ca.fmax(six, ca.vertcat(*LOWEST)), 1e9)
     excited = ca.logic_and(free > 0, least > p.excitation)
@@ -94,25 +94,25 @@ def step(context: EquationContext, s: Sample, start: SX, end: SX) -> dict[str, S
         **unstack("filtered", x),
         **information.write(r),
         "rows": rows,
-        **{f"theta_{name}": kept[i] for i, name in enumerate(NAMES)},
-        **{f"sharp_{name}": sharp[i] for i, name in enumerate(NAMES)},
+        **{f"theta_{name}": kept[i] for i, name in enumerate(ESTIMATES)},
+        **{f"sharp_{name}": sharp[i] for i, name in enumerate(ESTIMATES)},
     }
 
 
 def estimates(p: Namespace) -> dict[str, SX]:
     """Return the estimates by name; Fc is what sigma0 and c make of it at high speed, as in (18)."""
-    return {name: p[f"theta_{name}"] for name in NAMES} | {"Fc": p.theta_sigma0 / ca.fmax(p.theta_c, 1.0)}
+    return {name: p[f"theta_{name}"] for name in ESTIMATES} | {"Fc": p.theta_sigma0 / ca.fmax(p.theta_c, 1.0)}
 
 
 def valid(p: Namespace) -> dict[str, SX]:
     """Return which estimates are known well enough to be published."""
-    return {name: p[f"sharp_{name}"] for name in NAMES} | {"Fc": p.sharp_sigma0 * p.sharp_c}
+    return {name: p[f"sharp_{name}"] for name in ESTIMATES} | {"Fc": p.sharp_sigma0 * p.sharp_c}
 
 
 def parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
     """Declare filter, memory and the precision asked for under a method's name."""
     return (
-        Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 0.1, 1e3, "corner of the filter L, a double pole", EQUATION),
+        Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 0.1, 1e3, "corner of the filter L, a double pole", CITATION),
         Parameter(f"{prefix}.memory", "T", "s", 100.0, 0.1, 1e6, "time over which data is forgotten", "ljung1999 section 11.2"),
         Parameter(
             f"{prefix}.excitation",
@@ -138,9 +138,9 @@ def parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
 
 
 STATES = (
-    *vector_states("filtered", "1", "filtered signal", 2 * SIGNALS),
+    *vector_states("filtered", "1", "filtered signal", 2 * SIGNAL_COUNT),
     *information.states(ROW),
     State("rows", "1", "rows in the information matrix"),
-    *(State(f"theta_{name}", unit, f"estimate of {name}") for name, unit in NAMES.items()),
-    *(State(f"sharp_{name}", "1", f"1 where {name} is known well enough") for name in NAMES),
+    *(State(f"theta_{name}", unit, f"estimate of {name}") for name, unit in ESTIMATES.items()),
+    *(State(f"sharp_{name}", "1", f"1 where {name} is known well enough") for name in ESTIMATES),
 )

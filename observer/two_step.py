@@ -40,10 +40,10 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     estimates, signals = besancon.published(p, alpha2)
     return Update(
         next=bastin_gevers.adapt(p, s, p.vc) | when(go, step2, waiting(context, s.y1)),
-        estimates={name: p[f"step1_{name}"] for name in bastin_gevers.NAMES} | estimates,
+        estimates={name: p[f"step1_{name}"] for name in bastin_gevers.ESTIMATES} | estimates,
         signals=signals,
         first={"step1_v": s.y1, "x0": s.y1},
-        valid={name: begun(context, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.ESTIMATES},
     )
 
 
@@ -55,7 +55,7 @@ METHOD = Method(
     (
         start_parameter("two_step"),
         *bastin_gevers.parameters("two_step", bastin_gevers.REPAIRED),
-        *zhang.gain_parameters("two_step", besancon.K0, besancon.LAM, besancon.STARTS),
+        *zhang.gain_parameters("two_step", besancon.K0, besancon.LAM, besancon.START_VALUES),
         *zhang.matrix_parameters("two_step"),
     ),
     (*bastin_gevers.states(), *zhang.states(2)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bristle.observer import drem, rls, smoothing, zhang
-from bristle.observer.drem_position import BANDWIDTH
+from bristle.observer.drem_position import DREM_BANDWIDTH
 from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, when
 
@@ -22,7 +22,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         next=rls.fit(p, s) | filters | when(begun(context, s), step2, {name: p[name] for name in step2}),
         estimates=step1 | estimates,
         signals=signals,
-        valid={name: begun(context, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.ESTIMATES},
     )
 
 
@@ -35,7 +35,7 @@ METHOD = Method(
         start_parameter("two_step_drem", 20.0),
         *rls.parameters("two_step_drem"),
         smoothing.parameter("two_step_drem"),
-        *drem.parameters("two_step_drem", BANDWIDTH),
+        *drem.parameters("two_step_drem", DREM_BANDWIDTH),
     ),
     (*rls.STATES, *(state for state in smoothing.STATES if state not in rls.STATES), *drem.STATES),
     _equations,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bristle.observer import martinez_poznyak, rls, smoothing, zhang
-from bristle.observer.martinez_poznyak_position import BANDWIDTH, NOISE
+from bristle.observer.martinez_poznyak_position import EQUIVALENT_NOISE, MARTINEZ_BANDWIDTH
 from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, when
 
@@ -23,7 +23,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         next=rls.fit(p, s) | filters | when(begun(context, s), step2, waiting),
         estimates=step1 | estimates,
         signals=signals,
-        valid={name: begun(context, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.ESTIMATES},
     )
 
 
@@ -36,7 +36,7 @@ METHOD = Method(
         start_parameter("two_step_martinez", 20.0),
         *rls.parameters("two_step_martinez"),
         smoothing.parameter("two_step_martinez"),
-        *martinez_poznyak.parameters("two_step_martinez", BANDWIDTH, NOISE),
+        *martinez_poznyak.parameters("two_step_martinez", MARTINEZ_BANDWIDTH, EQUIVALENT_NOISE),
     ),
     (*rls.STATES, *(state for state in smoothing.STATES if state not in rls.STATES), *martinez_poznyak.STATES),
     _equations,

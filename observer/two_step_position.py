@@ -23,7 +23,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         estimates=step1 | estimates,
         signals=signals,
         first={"x0": s.y1},
-        valid={name: begun(context, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.ESTIMATES},
     )
 
 

@@ -28,7 +28,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         estimates={"alpha2": alpha2, "b": b, "Fc": p.step1_Fc * UNIT} | estimates,
         signals=signals,
         first={"step1_v": s.y1 / UNIT, "x0": s.y1 / UNIT},
-        valid={name: begun(context, s) for name in zhang.NAMES},
+        valid={name: begun(context, s) for name in zhang.ESTIMATES},
     )
 
 

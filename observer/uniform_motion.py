@@ -11,7 +11,7 @@ from bristle.model.variables import Parameter, State
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
-EQUATION = "dixit2008 section IV-B"
+CITATION = "dixit2008 section IV-B"
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -46,13 +46,13 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 METHOD = Method(
     "uniform_motion",
     "proposes the gate vc: the lowest speed at which steps of the input end in uniform motion",
-    EQUATION,
+    CITATION,
     "y_v",
     (
-        Parameter("uniform_motion.window", "T_w", "s", 0.3, 1e-3, 1e3, "over which the velocity is averaged", EQUATION),
-        Parameter("uniform_motion.patience", "T_s", "s", 3.0, 0.0, 1e6, "shortest step that is judged", EQUATION),
-        Parameter("uniform_motion.tolerance", "epsilon", "1", 0.05, 0.0, 1.0, "spread over mean of uniform motion", EQUATION),
-        Parameter("uniform_motion.least_speed", "v_0", "rad/s", 0.05, 0.0, 1e3, "speed below which it rests", EQUATION),
+        Parameter("uniform_motion.window", "T_w", "s", 0.3, 1e-3, 1e3, "over which the velocity is averaged", CITATION),
+        Parameter("uniform_motion.patience", "T_s", "s", 3.0, 0.0, 1e6, "shortest step that is judged", CITATION),
+        Parameter("uniform_motion.tolerance", "epsilon", "1", 0.05, 0.0, 1.0, "spread over mean of uniform motion", CITATION),
+        Parameter("uniform_motion.least_speed", "v_0", "rad/s", 0.05, 0.0, 1e3, "speed below which it rests", CITATION),
     ),
     (
         State("held_input", "V", "input of the step"),

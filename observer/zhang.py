@@ -20,8 +20,8 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer.method import EquationContext, stack, unstack, vector_states
 
 SX = ca.SX
-EQUATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
-NAMES = units("sigma0", "sigma1", "sigma2", "c")
+CITATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
+ESTIMATES = units("sigma0", "sigma1", "sigma2", "c")
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def gradient(ups: SX, theta: SX, error: SX, gain: SX, period: SX, *, low: bool) 
 def estimate_states(prefix: str) -> tuple[State, ...]:
     """Declare the estimates with their starts."""
     return tuple(
-        State(f"{prefix}_{n}", unit, f"estimate of {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in NAMES.items()
+        State(f"{prefix}_{n}", unit, f"estimate of {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in ESTIMATES.items()
     )
 
 
@@ -108,14 +108,14 @@ def states(order: int) -> tuple[State, ...]:
         *vector_states("x", "1", "state estimate", order),
         *vector_states("upsilon", "1", "filtered regressor", 4 * order),
         *estimate_states("raw"),
-        *(State(f"mean_{n}", unit, f"averaged {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in NAMES.items()),
+        *(State(f"mean_{n}", unit, f"averaged {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in ESTIMATES.items()),
     )
 
 
 def read(p: Namespace, order: int) -> tuple[SX, SX, SX, SX]:
     """Return (x^, Ups, theta^, averaged theta^)."""
-    raw = ca.vertcat(*(p[f"raw_{name}"] for name in NAMES))
-    mean = ca.vertcat(*(p[f"mean_{name}"] for name in NAMES))
+    raw = ca.vertcat(*(p[f"raw_{name}"] for name in ESTIMATES))
+    mean = ca.vertcat(*(p[f"mean_{name}"] for name in ESTIMATES))
     return stack(p, "x", order), stack(p, "upsilon", order, 4), raw, mean
 
 
@@ -125,14 +125,14 @@ def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
     return {
         **unstack("x", x),
         **unstack("upsilon", ups),
-        **{f"raw_{name}": theta[i] for i, name in enumerate(NAMES)},
-        **{f"mean_{name}": average[i] for i, name in enumerate(NAMES)},
+        **{f"raw_{name}": theta[i] for i, name in enumerate(ESTIMATES)},
+        **{f"mean_{name}": average[i] for i, name in enumerate(ESTIMATES)},
     }
 
 
 def averaged(p: Namespace) -> dict[str, SX]:
     """Return the published averages by name."""
-    return {name: p[f"mean_{name}"] for name in NAMES}
+    return {name: p[f"mean_{name}"] for name in ESTIMATES}
 
 
 def known_parameters(prefix: str) -> tuple[Parameter, ...]:
@@ -147,19 +147,19 @@ def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tupl
     """Declare K0, lam and the starts."""
     return (
         *(
-            Parameter(f"{prefix}.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", EQUATION)
+            Parameter(f"{prefix}.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", CITATION)
             for i, k in enumerate(k0, start=1)
         ),
-        Parameter(f"{prefix}.lam", "lambda", "1/s", lam, 1e-3, 1e4, "filter bandwidth", EQUATION),
+        Parameter(f"{prefix}.lam", "lambda", "1/s", lam, 1e-3, 1e4, "filter bandwidth", CITATION),
         *start_parameters(prefix, starts),
     )
 
 
-def start_parameters(prefix: str, starts: tuple[float, ...], source: str = EQUATION) -> tuple[Parameter, ...]:
+def start_parameters(prefix: str, starts: tuple[float, ...], source: str = CITATION) -> tuple[Parameter, ...]:
     """Declare the starts of the estimates."""
     return tuple(
         Parameter(f"{prefix}.{name}_start", name, unit, start, -1e9, 1e9, f"start of the estimate of {name}", source)
-        for (name, unit), start in zip(NAMES.items(), starts, strict=True)
+        for (name, unit), start in zip(ESTIMATES.items(), starts, strict=True)
     )
 
 
@@ -167,13 +167,13 @@ def scale_parameters(prefix: str, source: str = "zhang2002") -> tuple[Parameter,
     """Declare the sizes expected of the parameters: round numbers that belong to no plant."""
     return tuple(
         Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", source)
-        for (n, unit), s in zip(NAMES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
+        for (n, unit), s in zip(ESTIMATES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
     )
 
 
 def scales(p: Namespace) -> SX:
     """Return the sizes expected of the parameters."""
-    return SX(ca.vertcat(*(p[f"{name}_scale"] for name in NAMES)))
+    return SX(ca.vertcat(*(p[f"{name}_scale"] for name in ESTIMATES)))
 
 
 def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -> tuple[Parameter, ...]:

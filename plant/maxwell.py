@@ -11,9 +11,9 @@ from bristle.model.variables import Parameter, State
 
 SX = ca.SX
 
-ELEMENTS = 4
+MAXWELL_ELEMENTS = 4
 STIFFNESSES = (0.40, 0.25, 0.15, 0.08)  # N.m/rad
-SHARES = (0.1, 0.2, 0.3, 0.4)  # of the friction level
+MAXWELL_SHARES = (0.1, 0.2, 0.3, 0.4)  # of the friction level
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,6 @@ def stiffnesses(law: str, source: str) -> tuple[Parameter, ...]:
 
 def memory() -> tuple[Sequence[State], Sequence[State]]:
     """Return the states F1, F2, ... and the modes slip1, slip2, ... of a law's elements."""
-    places = range(1, ELEMENTS + 1)
+    places = range(1, MAXWELL_ELEMENTS + 1)
     forces = [State(f"F{i}", "N.m", f"force of element {i} at nominal load", scale=lambda p: p.Fc) for i in places]
     return forces, [State(f"slip{i}", "1", f"direction in which element {i} slips, 0 while it sticks") for i in places]

@@ -36,7 +36,7 @@ TWISTING_START = Parameter(
     "twisting_start", "w0", "rad/s", 0.0, -1e4, 1e4, "how much slower the load is at the start", "spong2006 chapter 6"
 )
 LOAD_STARTS = (TWIST_START, TWISTING_START)  # of a servo with a second inertia
-COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
+ENCODER_COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
 
 
 def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()) -> System:
@@ -143,7 +143,7 @@ def _encoder(system: System, theta: SX, theta_start: SX) -> None:
 
     Source: dixit2008 section IV-A (10 000 pulses, quadrature: 40 000 counts a turn).
     """
-    counts, period = system.parameter(COUNTS), system.parameter(SAMPLE_TIME)
+    counts, period = system.parameter(ENCODER_COUNTS), system.parameter(SAMPLE_TIME)
     grid = 2 * math.pi / counts
     start = ca.floor(theta_start / grid)
     now = system.sampled(State("count", "1", "encoder count", initial=start), after=True)

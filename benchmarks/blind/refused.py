@@ -27,7 +27,7 @@ from forms import class_of
 from run import answered
 from score import SINGLE, Judged
 
-TARGET = Path(__file__).resolve().parents[1] / "results" / "refused.md"
+REFUSED_TABLES = Path(__file__).resolve().parents[1] / "results" / "refused.md"
 GROUPS = (*SINGLE, "pair")
 STANDS = (
     "not looked for", "not beyond chance", "behind another", "led and refused", "in a tie", "no round left", "named, one too many",
@@ -141,7 +141,7 @@ for a view that is not chance:
 |---|---|
 {chr(10).join(flags)}
 """
-    TARGET.write_text(text, encoding="utf-8")
+    REFUSED_TABLES.write_text(text, encoding="utf-8")
     print(text)
 
 

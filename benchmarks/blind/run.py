@@ -33,14 +33,14 @@ from shared import write_json
 from truth import library
 
 ROOT = Path(__file__).resolve().parents[2]
-ABOUT = """## How often it is wrong
+BLIND_TEST_INTRODUCTION = """## How often it is wrong
 
 `scripts/blind` draws cases with a hidden effect by a code of its own (another integrator, another formulation of friction,
 half of the effects in another form of the same physics), seeded by the hash of the commit that it tests; diagnoses them; and
 scores what was said against sealed answers. A commit is tested once and the first run counts. Further tables, by effect, by
 gap ratio and by parameter, are in [benchmarks/results/blind.md](../benchmarks/results/blind.md).
 """
-PUBLISHED = ROOT / "benchmarks" / "results" / "blind.md"
+PUBLISHED_TABLES = ROOT / "benchmarks" / "results" / "blind.md"
 
 
 def generate_one(commit: str, spec: Spec, out: Path) -> None:
@@ -161,9 +161,9 @@ def publish(out: Path | None, jobs: int, scale: float) -> None:
     stamp(out)  # still the same
     head = f"Commit {commit}, which seeds every case; sha256 of the sealed answers' list: {seal_line}.\n"
     figures, others = score_all(out)
-    PUBLISHED.write_text(f"# Blind test\n\n{head}\n{figures}\n\n{others}", encoding="utf-8")
-    put("blind test", "scripts/blind", f"{ABOUT}\n{head}\n{figures}")
-    print(PUBLISHED.read_text(encoding="utf-8"))
+    PUBLISHED_TABLES.write_text(f"# Blind test\n\n{head}\n{figures}\n\n{others}", encoding="utf-8")
+    put("blind test", "scripts/blind", f"{BLIND_TEST_INTRODUCTION}\n{head}\n{figures}")
+    print(PUBLISHED_TABLES.read_text(encoding="utf-8"))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

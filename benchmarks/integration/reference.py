@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Rhs = Callable[[float, Sequence[float], float], list[float]]
 Feedback = Callable[[int, float, float], float]  # (k, theta, v) -> u of step k
 DEG = math.pi / 180.0
-STEP = 1e-3
+REFERENCE_STEP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def _lugre(servo: tuple[float, float, float], s0: float, s1: float, fc: float, f
     return Plant("lugre", {"J": m, "b": b, "a2": a2} | values, lugre_rhs(m, s0, s1, a2, fc, fs, vs), "lugre.z", fc / s0, b / m)
 
 
-PLANTS = {
+REFERENCE_PLANTS = {
     "S": _modified(600.0, 800.0, 300.0, 150.0),
     "R": _modified(800.0, 1067.0, 400.0, 200.0),
     "L0": _lugre((0.001, 0.0065, 0.002), 0.8, 0.0, 0.8 * 0.005, 0.8 * 0.009, 25 * DEG),
@@ -79,7 +79,7 @@ PLANTS = {
 
 def noise(n: int, seed: int, pole: float = 5.0) -> Array:
     """Return unit-rms white noise behind a first-order low-pass, one value a step."""
-    a = math.exp(-pole * STEP)
+    a = math.exp(-pole * REFERENCE_STEP)
     white = np.random.default_rng(seed).standard_normal(n)
     out = np.empty(n)
     x = white[0]
@@ -98,7 +98,7 @@ class SpeedLoop:
 
     def __call__(self, k: int, _theta: float, v: float) -> float:
         error = float(self.reference[k]) - v
-        self.integral += 20.0 * STEP * error
+        self.integral += 20.0 * REFERENCE_STEP * error
         return 4.0 * error + self.integral
 
 
@@ -109,7 +109,7 @@ class Pull:
         self.stiffness, self.speed = stiffness, speed
 
     def __call__(self, k: int, theta: float, _v: float) -> float:
-        return self.stiffness * (self.speed * STEP * k - theta)
+        return self.stiffness * (self.speed * REFERENCE_STEP * k - theta)
 
 
 class Saturated:
@@ -117,7 +117,7 @@ class Saturated:
 
     def __init__(self, n: int, seed: int = 3) -> None:
         k = np.arange(n)
-        strong = 40.0 * noise(n, seed, 15.0) + 20.0 * np.sign(np.sin(k * 4 * math.pi * STEP))
+        strong = 40.0 * noise(n, seed, 15.0) + 20.0 * np.sign(np.sin(k * 4 * math.pi * REFERENCE_STEP))
         self.u = np.where(k % 500 < 400, strong, noise(n, seed + 1, 15.0))
 
     def __call__(self, k: int, _theta: float, _v: float) -> float:
@@ -144,7 +144,15 @@ def solve(plant: Plant, feedback: Feedback, n: int, rtol: float = 1e-12) -> tupl
         u[k] = feedback(k, x[k, 0], x[k, 1])
         drive = plant.gain * min(max(u[k], -24.0), 24.0)
         x[k + 1] = odeint(
-            plant.rhs, x[k], [0.0, STEP], args=(drive,), tfirst=True, rtol=rtol, atol=atol, mxstep=100_000, hmax=STEP
+            plant.rhs,
+            x[k],
+            [0.0, REFERENCE_STEP],
+            args=(drive,),
+            tfirst=True,
+            rtol=rtol,
+            atol=atol,
+            mxstep=100_000,
+            hmax=REFERENCE_STEP,
         )[1]
     return x, u
 

@@ -14,12 +14,12 @@ from bristle.plant.servo import servo_program
 
 sys.path.insert(0, str(Path(__file__).parent))
 import reference
-from reference import PLANTS, Array, Feedback, Plant
+from reference import REFERENCE_PLANTS, Array, Feedback, Plant
 
-LENGTH = 20_000
+RUN_STEPS = 20_000
 TOLERANCES = (1e-6, 1e-7, 5e-8, 2e-8, 1e-8, 5e-9, 2e-9, 1e-9)
-LIMITS = np.array([1e-6, 1e-6, 1e-5])
-PROGRAMS: dict[str, Program] = {law: servo_program(law) for law in {plant.law for plant in PLANTS.values()}}
+ERROR_LIMITS = np.array([1e-6, 1e-6, 1e-5])
+PROGRAMS: dict[str, Program] = {law: servo_program(law) for law in {plant.law for plant in REFERENCE_PLANTS.values()}}
 
 
 def simulate(plant: Plant, feedback: Feedback, n: int, tolerance: float) -> tuple[Array, float, float]:
@@ -31,7 +31,7 @@ def simulate(plant: Plant, feedback: Feedback, n: int, tolerance: float) -> tupl
     for k in range(n):
         v[program.index["u"]] = u[k] = feedback(k, x[k, 0], x[k, 1])
         native.write(v)
-        native.advance(reference.STEP)
+        native.advance(reference.REFERENCE_STEP)
         v = native.values
         x[k + 1] = v[states]
     steps = native.steps / n
@@ -39,7 +39,7 @@ def simulate(plant: Plant, feedback: Feedback, n: int, tolerance: float) -> tupl
     for _ in range(3):
         native.reset()
         begin = time.perf_counter()
-        native.run(reference.STEP, {"u": u}, ["v"])
+        native.run(reference.REFERENCE_STEP, {"u": u}, ["v"])
         best = min(best, time.perf_counter() - begin)
     return x, steps, 1e6 * best / n
 
@@ -49,16 +49,16 @@ def accuracy() -> None:
     default = PROGRAMS["lugre"].starts[PROGRAMS["lugre"].index["solver.tolerance"]]
     rows: dict[float, list[tuple[float, str, float, float]]] = {tolerance: [] for tolerance in TOLERANCES}
     details = []
-    for name, plant in PLANTS.items():
-        for scenario, make in reference.scenarios(name, LENGTH).items():
-            expected, _ = reference.solve(plant, make(), LENGTH)
-            looser, _ = reference.solve(plant, make(), LENGTH, rtol=1e-11)
+    for name, plant in REFERENCE_PLANTS.items():
+        for scenario, make in reference.scenarios(name, RUN_STEPS).items():
+            expected, _ = reference.solve(plant, make(), RUN_STEPS)
+            looser, _ = reference.solve(plant, make(), RUN_STEPS, rtol=1e-11)
             size = np.ptp(expected, axis=0)
-            sure = np.max(np.max(np.abs(looser - expected), axis=0) / size / LIMITS)
+            sure = np.max(np.max(np.abs(looser - expected), axis=0) / size / ERROR_LIMITS)
             for tolerance in TOLERANCES:
-                x, steps, cost = simulate(plant, make(), LENGTH, tolerance)
+                x, steps, cost = simulate(plant, make(), RUN_STEPS, tolerance)
                 error = np.max(np.abs(x - expected), axis=0) / size
-                margin = float(np.min(LIMITS / error))
+                margin = float(np.min(ERROR_LIMITS / error))
                 rows[tolerance].append((margin, f"{name} {scenario}", steps, cost))
                 if tolerance == default:
                     cells = " | ".join(f"{e:.1e}" for e in error)
@@ -83,10 +83,10 @@ def explicit() -> None:
     cases = [("S", 24.0, 5.0), ("R", 24.0, 5.0), ("L0", 17.0, 5.0), ("L0", 18.0, 5.0), ("L1", 17.0, 5.0), ("L1", 18.0, 5.0)]
     cases += [("L1", 20.0, 5.0), ("L1", 22.0, 5.0), ("T", 1.2, 20.0), ("T", 5.0, 20.0)]
     for name, volts, seconds in cases:
-        plant, n = PLANTS[name], round(seconds / reference.STEP)
+        plant, n = REFERENCE_PLANTS[name], round(seconds / reference.REFERENCE_STEP)
         tight, _ = reference.solve(plant, lambda *_, volts=volts: volts, n)
         program = PROGRAMS[plant.law]
-        ours, _ = Native(program, plant.parameters).run(reference.STEP, {"u": np.full(n, volts)}, ["v"])
+        ours, _ = Native(program, plant.parameters).run(reference.REFERENCE_STEP, {"u": np.full(n, volts)}, ["v"])
         rk4 = reference.rk4(plant, volts, seconds)[1]
         print(f"| {name} | {volts:g} | {seconds:g} | {tight[-1, 1]:.6g} | {ours[-1, 0]:.6g} | {rk4:.6g} |")
 

@@ -20,7 +20,7 @@ from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
-UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
+INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def declared(kind: str, parameters: dict[str, float], output: str = "rad", **mor
         "friction": "coulomb",
         "parameters": parameters,
         "time": {"column": "t", "unit": "s"},
-        "input": {"column": "u", "kind": kind, "unit": UNITS[kind]},
+        "input": {"column": "u", "kind": kind, "unit": INPUT_UNITS[kind]},
         "output": {"column": "y", "kind": "position", "unit": output},
     }
     return Model.from_dict(tables | more)
@@ -187,7 +187,7 @@ def _warned(mass: float, own: dict[str, float], entries: Sequence[Entry]) -> str
 
 # -- ODrive --------------------------------------------------------------------------------------------------------------
 
-GONE, SMALLER = 0.05, 0.5  # of what it was
+GONE_BELOW, SMALLER_BELOW = 0.05, 0.5  # of what it was
 
 
 def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
@@ -216,7 +216,7 @@ def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
 
 def _weakened(ratio: float) -> str:
     """Return in words what is left of an effect."""
-    return "gone" if ratio < GONE else "much smaller, not gone" if ratio < SMALLER else "not compensated"
+    return "gone" if ratio < GONE_BELOW else "much smaller, not gone" if ratio < SMALLER_BELOW else "not compensated"
 
 
 def _ripple(t: Array, y: Array) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Entry = tuple[str, Array, Array, Array, dict[str, Any]]
 
-ROOT = Path(os.environ.get("BRISTLE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+MEASURED_FOLDER = Path(os.environ.get("BRISTLE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 ODRIVE_TURN = 8192.0  # counts
 
 
@@ -48,7 +48,7 @@ def _run(name: str, settings: dict[str, Any], c: dict[str, Array], u: Array, sho
 
 def go1(mass: float | None = None, shortest: float = 3.0) -> list[Entry]:
     """Return the Unitree Go1 pendulum: torque demand [N.m, ahead of the gear], position [rad]; `mass` picks a payload [kg]."""
-    found = runs(ROOT / "bam_go1_load")
+    found = runs(MEASURED_FOLDER / "bam_go1_load")
     chosen = [run for run in found if mass is None or run[1]["mass"] == mass]
     return [entry for name, settings, c in chosen for entry in _run(name, settings, c, c["torque_demand"], shortest)]
 
@@ -62,7 +62,7 @@ def xl330(kp: float | None = None, shortest: float = 3.0) -> list[Entry]:
     2 ms later, in the same turn of the loop.
     """
     entries = []
-    for name, settings, c in runs(ROOT / "bam_xl330_gain"):
+    for name, settings, c in runs(MEASURED_FOLDER / "bam_xl330_gain"):
         if kp is None or settings["kp"] == kp:
             raw = np.where(c["load"] > 32767, c["load"] - 65536, c["load"])
             entries += _run(name, settings, c, raw / 885.0 * c["input_volts"], shortest)
@@ -75,7 +75,7 @@ def odrive(compensated: bool = False, start: float = 0.5) -> list[Entry]:
     Before that some runs turn back by one turn. With the compensation on, the current holds its anti-cogging part.
     """
     entries: list[Entry] = []
-    for path in sorted((ROOT / "odrive_cogging" / "slow2").glob("comp_*.npy" if compensated else "nocomp_*.npy")):
+    for path in sorted((MEASURED_FOLDER / "odrive_cogging" / "slow2").glob("comp_*.npy" if compensated else "nocomp_*.npy")):
         time, counts, current = np.load(path, allow_pickle=False)
         use = time >= start
         position = counts[use] * 2 * np.pi / ODRIVE_TURN
@@ -87,7 +87,7 @@ def emps() -> list[Entry]:
     """Return the linear axis EMPS: drive input [V] (35.15 N/V), position [m], reference in `extra`."""
     from scipy.io import loadmat
 
-    found = {key: np.asarray(value, dtype=float).ravel() for key, value in loadmat(ROOT / "emps" / "DATA_EMPS.mat").items()
-             if not key.startswith("__")}  # fmt: skip
+    content = loadmat(MEASURED_FOLDER / "emps" / "DATA_EMPS.mat")
+    found = {key: np.asarray(value, dtype=float).ravel() for key, value in content.items() if not key.startswith("__")}
     extra = {"goal_position": found["qg"], "gain": float(found["gtau"][0])}
     return [("emps", found["t"], found["vir"], found["qm"], extra)]

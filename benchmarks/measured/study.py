@@ -20,12 +20,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import draw
 from cases import FOLDERS, Run
-from measured_data import ROOT as DATA
+from measured_data import MEASURED_FOLDER
 from page import put
 
 ROOT = Path(__file__).resolve().parents[2]
-IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "benchmarks" / "results" / "measured.md"
-HEAD = """## Measured data
+IMAGES, MEASURED_TABLE = ROOT / "docs" / "images", ROOT / "benchmarks" / "results" / "measured.md"
+MEASURED_INTRODUCTION = """## Measured data
 
 `python benchmarks/measured/study.py`: each set is diagnosed from a rough model, with the bounds of a model file that gives none.
 Errors are those of segments that the search has not seen. Right is what names the hidden effect, and nothing that is not there.
@@ -36,7 +36,7 @@ Nonlinear System Identification Benchmarks, 2019) lies in `emps/`, from github.c
 `bam_xl330_gain/`, from github.com/Rhoban/bam; Go1 in `bam_go1_load/`, from the fork github.com/rimim/bam; ODrive in
 `odrive_cogging/`, from github.com/gchenfc/ODrive (analysis/cogging_torque).
 """
-ABOUT = {
+SET_DESCRIPTIONS = {
     "emps": """Linear axis with a ball screw, 25 s at 1 kHz; the input is in volts with its known gain in N/V. The model has viscous
 and symmetric Coulomb friction; the authors of the data name an offset, and friction that differs by direction.""",
     "bam_xl330_gain": """Half a kilogram at 0.1 m on a small servo, 12 runs of 6 s at four gains of its position loop; the input is
@@ -80,15 +80,15 @@ def section(folder: str, runs: Sequence[Run], image: str) -> list[str]:
     """Return the text on one data set."""
     title, _ = FOLDERS[folder]
     body = [line for run in runs for line in lines_of(run)]
-    return [f"### {title}", "", ABOUT[folder], "", f"![{title}]({image})", "", *body, ""]
+    return [f"### {title}", "", SET_DESCRIPTIONS[folder], "", f"![{title}]({image})", "", *body, ""]
 
 
 def main(folders: Sequence[str]) -> int:
     """Diagnose the data sets that are there."""
     chosen, said, runs, complete = folders or list(FOLDERS), [], [], True
     for folder in chosen:
-        if not (DATA / folder).is_dir():
-            print(f"{folder}: skipped, {DATA / folder} is not there (set BRISTLE_DATA)", file=sys.stderr)
+        if not (MEASURED_FOLDER / folder).is_dir():
+            print(f"{folder}: skipped, {MEASURED_FOLDER / folder} is not there (set BRISTLE_DATA)", file=sys.stderr)
             complete = False
             continue
         done = list(FOLDERS[folder][1](lambda what: print(what, file=sys.stderr, flush=True)))
@@ -97,11 +97,11 @@ def main(folders: Sequence[str]) -> int:
         runs += done
     if not runs:
         return 0
-    text = "\n".join([HEAD, *table(runs), "", *said])
+    text = "\n".join([MEASURED_INTRODUCTION, *table(runs), "", *said])
     if folders or not complete:
         print(text)
         return 0
-    RESULTS.write_text("# Measured data\n\n" + "\n".join(table(runs)) + "\n", encoding="utf-8")
+    MEASURED_TABLE.write_text("# Measured data\n\n" + "\n".join(table(runs)) + "\n", encoding="utf-8")
     put("measured data", "benchmarks/measured/study.py", text)
     return 0
 

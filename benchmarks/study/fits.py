@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from standard_records import STEP
+from standard_records import RECORD_STEP
 
 from bristle.common.errors import SimulationError
 from bristle.harness.metrics import mse_percent
@@ -21,27 +21,27 @@ from bristle.model.program import Program
 from bristle.plant.servo import servo_program
 
 Array = NDArray[np.float64]
-FREE = {
+LEAN_FREE_PARAMETERS = {
     "viscous": ("b", "a2"),
     "coulomb": ("b", "a2", "coulomb.Fc"),
     "modified": ("b", "a2", "modified.sigma0", "modified.sigma1", "modified.sigma2", "modified.c", "modified.tau"),
 }
 FIXED = {"J": 1.0, "u_max": 1e6}  # acceleration instead of torque; the record holds what the drive got
 LOW = {"b": -np.inf, "modified.sigma1": -np.inf, "modified.sigma2": -np.inf}
-SMALL = 1e-9
+LEAN_LOWER_BOUND = 1e-9
 NUDGE = 1e-6  # rad/s
 
 
 @cache
 def program(law: str, derivatives: bool) -> Program:
     """Return the lean servo."""
-    return servo_program(law, encoder=False, sensitivities=FREE[law] if derivatives else ())
+    return servo_program(law, encoder=False, sensitivities=LEAN_FREE_PARAMETERS[law] if derivatives else ())
 
 
 def simulated(law: str, parameters: Mapping[str, float], u: Array) -> Array:
     """Return the velocity under held inputs, a value a sample; NaN where it cannot be simulated."""
     try:
-        out, _ = Native(program(law, False), {**FIXED, **parameters}).run(STEP, {"u": u}, ["v"])
+        out, _ = Native(program(law, False), {**FIXED, **parameters}).run(RECORD_STEP, {"u": u}, ["v"])
     except SimulationError:
         return np.full(len(u), np.nan)
     return np.asarray(out[:-1, 0])
@@ -58,13 +58,13 @@ class Fitted:
 
 def fit(law: str, u: Array, v: Array, starts: Sequence[Mapping[str, float]], evaluations: int = 30) -> Fitted:
     """Return the best of the fits of the velocity from some starts."""
-    names, scale = FREE[law], float(np.std(v)) * np.sqrt(len(v))
-    low = np.array([LOW.get(name, SMALL) for name in names])
+    names, scale = LEAN_FREE_PARAMETERS[law], float(np.std(v)) * np.sqrt(len(v))
+    low = np.array([LOW.get(name, LEAN_LOWER_BOUND) for name in names])
 
     def run(x: Array) -> tuple[Array, Array]:
         values = {**FIXED, **dict(zip(names, x.tolist(), strict=True))}
         try:
-            out, slopes = Native(program(law, True), values).run(STEP, {"u": u}, ["v"], sensitivities=True)
+            out, slopes = Native(program(law, True), values).run(RECORD_STEP, {"u": u}, ["v"], sensitivities=True)
         except SimulationError:
             return np.full(len(v), 1e3 / np.sqrt(len(v))), np.zeros((len(v), len(names)))
         assert slopes is not None
@@ -72,7 +72,7 @@ def fit(law: str, u: Array, v: Array, starts: Sequence[Mapping[str, float]], eva
 
     found = []
     for start in starts:
-        x0 = np.maximum([start[name] for name in names], low + SMALL)
+        x0 = np.maximum([start[name] for name in names], low + LEAN_LOWER_BOUND)
         known: dict[bytes, tuple[Array, Array]] = {}
 
         def at(x: Array, part: int, known: dict[bytes, tuple[Array, Array]] = known) -> Array:
@@ -93,7 +93,7 @@ def fit(law: str, u: Array, v: Array, starts: Sequence[Mapping[str, float]], eva
 
 def neutral(law: str, b: float, alpha2: float, friction: float) -> list[dict[str, float]]:
     """Return starts from what a regression at speed gives, the presliding distance over a decade."""
-    base = {"b": b, "a2": max(alpha2, SMALL)}
+    base = {"b": b, "a2": max(alpha2, LEAN_LOWER_BOUND)}
     if law == "viscous":
         return [base]
     if law == "coulomb":
@@ -110,19 +110,19 @@ def bound(parameters: Mapping[str, float], u: Array, resolution: float, seconds:
 
     Position with white noise of resolution^2/12; the start (theta, v) is unknown, w is at rest. Derivatives by v are differences.
     """
-    names = FREE["modified"]
+    names = LEAN_FREE_PARAMETERS["modified"]
     values = {**FIXED, **parameters}
-    out, slopes = Native(program("modified", True), values).run(STEP, {"u": u}, ["theta"], sensitivities=True)
+    out, slopes = Native(program("modified", True), values).run(RECORD_STEP, {"u": u}, ["theta"], sensitivities=True)
     assert slopes is not None
     columns = [slopes[:-1, 0, i] * values[name] for i, name in enumerate(names) if name != "modified.tau"]
     columns.append(slopes[:-1, 0, names.index("modified.tau")])
     columns.append(np.ones(len(u)))
-    moved, _ = Native(program("modified", False), {**values, "v_start": NUDGE}).run(STEP, {"u": u}, ["theta"])
+    moved, _ = Native(program("modified", False), {**values, "v_start": NUDGE}).run(RECORD_STEP, {"u": u}, ["theta"])
     columns.append((moved[:-1, 0] - out[:-1, 0]) / NUDGE)
     whole = np.column_stack(columns)
     found = {}
     for second in seconds:
-        rows = whole[: round(second / STEP)]
+        rows = whole[: round(second / RECORD_STEP)]
         information = rows.T @ rows / (resolution**2 / 12)
         found[second] = np.sqrt(np.diag(np.linalg.inv(information)))[: len(names) - 1]
     return found

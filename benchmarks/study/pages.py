@@ -12,9 +12,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jobs import BEST, BOUNDS, CHECKS, PLACES, estimated, estimators
+from jobs import BEST, BOUNDS, CHECKS, ESTIMATED_PARAMETERS, estimated, estimators
 from shared import upper_bound
-from standard_records import STEP, record
+from standard_records import RECORD_STEP, record
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
@@ -23,10 +23,10 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 Json = dict[str, Any]
-SENSORS = ("clean", "encoder")
-LATE = f"{CHECKS[-1]:g}"
-EARLY = f"{CHECKS[0]:g}"
-FIT = ("L0", "L1", "GMS")
+SENSOR_NAMES = ("clean", "encoder")
+LAST_CHECK = f"{CHECKS[-1]:g}"
+FIRST_CHECK = f"{CHECKS[0]:g}"
+PLANTS_WITHOUT_TRUTH = ("L0", "L1", "GMS")
 WITH_TRUTH = ("S", "R")
 COST_STEPS = 60_000
 STARTED = "five on each record, of those parameters that a method has a start of (`self_starting_ekf`: of c alone)"
@@ -87,15 +87,15 @@ def ratios(found: Sequence[Json], sensor: str, method: str, check: str, over: st
 
 def identification(results: Results, sensor: str) -> str:
     """Return the table of times and errors on the plants whose parameters are known."""
-    what = ("to 5 %, s", f"error at {EARLY} s, %", f"at {LATE} s, %")
+    what = ("to 5 %, s", f"error at {FIRST_CHECK} s, %", f"at {LAST_CHECK} s, %")
     head = ["method", "estimates", *(f"{plant}: {each}" for plant in WITH_TRUTH for each in what)]
     rows = []
     for method in estimators():
-        cells = [method, "all six" if estimated(method) == list(PLACES) else ", ".join(estimated(method))]
+        cells = [method, "all six" if estimated(method) == list(ESTIMATED_PARAMETERS) else ", ".join(estimated(method))]
         for plant in WITH_TRUTH:
             entries = results.methods(sensor, plant, method)
             cells.append(two(entry["settling_s"] for entry in entries))
-            cells += [two((largest(entry, check) for entry in entries), ".3g") for check in (EARLY, LATE)]
+            cells += [two((largest(entry, check) for entry in entries), ".3g") for check in (FIRST_CHECK, LAST_CHECK)]
         rows.append(cells)
     return table([*head, "failed"], [[*row, failures(results, sensor, row[0])] for row in rows])
 
@@ -108,13 +108,13 @@ def failures(results: Results, sensor: str, method: str) -> str:
 
 def bias(results: Results, sensor: str) -> str:
     """Return the table of the mean signed error of each parameter at the end."""
-    head = ["method", *(f"{plant}: {name}" for plant in WITH_TRUTH for name in PLACES)]
+    head = ["method", *(f"{plant}: {name}" for plant in WITH_TRUTH for name in ESTIMATED_PARAMETERS)]
     rows = []
     for method in estimators():
         cells = [method]
         for plant in WITH_TRUTH:
-            for name in PLACES:
-                errors = [entry["checks"][LATE]["errors"].get(name) for entry in results.methods(sensor, plant, method)]
+            for name in ESTIMATED_PARAMETERS:
+                errors = [entry["checks"][LAST_CHECK]["errors"].get(name) for entry in results.methods(sensor, plant, method)]
                 numbers = [x for x in errors if x is not None and math.isfinite(x)]
                 cells.append(f"{statistics.mean(numbers):+.2f}" if numbers and len(numbers) == len(errors) else "-")
         rows.append(cells)
@@ -123,10 +123,14 @@ def bias(results: Results, sensor: str) -> str:
 
 def validation(results: Results, sensor: str, over: str, plants: Sequence[str]) -> str:
     """Return the table of validation errors over a baseline's."""
-    head = ["method", *(f"{plant}, {check} s" for plant in plants for check in (EARLY, LATE))]
+    head = ["method", *(f"{plant}, {check} s" for plant in plants for check in (FIRST_CHECK, LAST_CHECK))]
     rows = []
     for method in estimators():
-        found = [ratios(results.of("record", plant), sensor, method, check, over) for plant in plants for check in (EARLY, LATE)]
+        found = [
+            ratios(results.of("record", plant), sensor, method, check, over)
+            for plant in plants
+            for check in (FIRST_CHECK, LAST_CHECK)
+        ]
         rows.append([method, *(two(each, ".3g") for each in found)])
     return table(head, rows)
 
@@ -158,15 +162,15 @@ def bodies(results: Results) -> str:
     rows = []
     for method in estimators():
         cells = [method]
-        for sensor in SENSORS:
+        for sensor in SENSOR_NAMES:
             cells.append(two((worst(result[sensor][method]["errors"]) for result in results.of("bodies", "Z")), ".3g"))
         rows.append(cells)
-    return table(["method", *SENSORS], rows)
+    return table(["method", *SENSOR_NAMES], rows)
 
 
 def cost() -> str:
     """Return the table of cost per step, measured now, side by side: the least of several runs of each."""
-    data = record("S", 1, 1, COST_STEPS * STEP)
+    data = record("S", 1, 1, COST_STEPS * RECORD_STEP)
     inputs = {name: data[name] for name in ("u", "y_theta", "y_v")}
     instances = {method: Native(observer_program(method)) for method in estimators()}
     best = dict.fromkeys(instances, math.inf)
@@ -174,7 +178,7 @@ def cost() -> str:
         for method, instance in instances.items():
             instance.reset()
             begun = time.process_time()
-            instance.run(STEP, inputs, ["convergence"])
+            instance.run(RECORD_STEP, inputs, ["convergence"])
             best[method] = min(best[method], time.process_time() - begun)
     unit = best["bastin_gevers"]
     return table(
@@ -195,10 +199,16 @@ def goals(results: Results) -> str:
         entries = [result["encoder"][BEST] for result in results.of_best(plant)]
         add(f"{plant}: time to 5 %, s", [x if (x := e["settling_s"]) is not None else math.inf for e in entries],
             lambda x: x <= 10, "median <= 6, worst <= 10", ".1f")  # fmt: skip
-        add(f"{plant}: largest error at {EARLY} s, %", [largest(e, EARLY) for e in entries], lambda x: x <= 0.3, "<= 0.3", ".2g")
-        add(f"{plant}: MSE, %", [e["checks"][EARLY]["mse"] for e in entries], lambda x: x <= 1e-4, "<= 1e-4", ".1e")
-    for plant in FIT:
-        add(f"{plant}: MSE over floor at {EARLY} s", ratios(results.of_best(plant), "encoder", BEST, EARLY, "modified"),
+        add(
+            f"{plant}: largest error at {FIRST_CHECK} s, %",
+            [largest(e, FIRST_CHECK) for e in entries],
+            lambda x: x <= 0.3,
+            "<= 0.3",
+            ".2g",
+        )
+        add(f"{plant}: MSE, %", [e["checks"][FIRST_CHECK]["mse"] for e in entries], lambda x: x <= 1e-4, "<= 1e-4", ".1e")
+    for plant in PLANTS_WITHOUT_TRUTH:
+        add(f"{plant}: MSE over floor at {FIRST_CHECK} s", ratios(results.of_best(plant), "encoder", BEST, FIRST_CHECK, "modified"),
             lambda x: x <= 1.5, "worst <= 1.5")  # fmt: skip
     for plant in WITH_TRUTH:
         back = [r[BEST]["back_s"] for r in results.of("change", plant)]
@@ -206,9 +216,9 @@ def goals(results: Results) -> str:
             "worst <= 10", ".1f")  # fmt: skip
         counts = [r[BEST] for r in results.of("starts", plant)]
         failed, n = sum(c["failed"] for c in counts), sum(c["runs"] for c in counts)
-        rows.append([f"{plant}: starts ten times off, not within 5 % at {EARLY} s", f"{failed} of {n}", "0",
+        rows.append([f"{plant}: starts ten times off, not within 5 % at {FIRST_CHECK} s", f"{failed} of {n}", "0",
                      f"{failed} of {n}, {100 * upper_bound(failed, n) if n else 100:.1f} %"])  # fmt: skip
-    false = [result["changes"] > 0 for plant in (*WITH_TRUTH, *FIT) for result in results.of_best(plant)]
+    false = [result["changes"] > 0 for plant in (*WITH_TRUTH, *PLANTS_WITHOUT_TRUTH) for result in results.of_best(plant)]
     rows.append(["changes found on unchanged records", f"{sum(false)} of {len(false)}", "<= 1 of 60",
                  f"{sum(false)} of {len(false)}, {100 * upper_bound(sum(false), len(false)):.1f} %"])  # fmt: skip
     for plant in WITH_TRUTH:
@@ -244,7 +254,7 @@ def figure_times(results: Results, out: Path) -> None:
     label = "time until all parameters that it estimates stay within 5 % (s), encoder"
     axes.set(xscale="log", xlabel=label, yticks=range(len(names)))
     counts = [len(estimated(name)) for name in reversed(names)]
-    axes.set_yticklabels([f"{name} ({n} of {len(PLACES)})" for name, n in zip(reversed(names), counts, strict=True)])
+    axes.set_yticklabels([f"{name} ({n} of {len(ESTIMATED_PARAMETERS)})" for name, n in zip(reversed(names), counts, strict=True)])
     axes.plot([], [], "o", color="C0", label="set S")
     axes.plot([], [], "s", color="C1", label="set R")
     axes.legend(loc="upper left", fontsize=8)
@@ -257,18 +267,22 @@ def figure_floor(results: Results, out: Path) -> None:
     """Draw the validation error over the floor on the plants that no observer's model contains."""
 
     def of(plant: str, method: str) -> list[float]:
-        return [x for x in ratios(results.of("record", plant), "encoder", method, EARLY, "modified") if math.isfinite(x)]
+        return [x for x in ratios(results.of("record", plant), "encoder", method, FIRST_CHECK, "modified") if math.isfinite(x)]
 
-    names = [method for method in estimators() if any(of(plant, method) for plant in FIT)]
+    names = [method for method in estimators() if any(of(plant, method) for plant in PLANTS_WITHOUT_TRUTH)]
     figure, axes = plt.subplots(figsize=(8, 0.42 * len(names) + 1.2), layout="constrained")
     for row, method in enumerate(reversed(names)):
-        for plant, shift in zip(FIT, (0.2, 0.0, -0.2), strict=True):
+        for plant, shift in zip(PLANTS_WITHOUT_TRUTH, (0.2, 0.0, -0.2), strict=True):
             values = of(plant, method)
-            axes.plot(values, np.full(len(values), row + shift), ".", ms=5, alpha=0.6, color=f"C{FIT.index(plant)}")
+            axes.plot(
+                values, np.full(len(values), row + shift), ".", ms=5, alpha=0.6, color=f"C{PLANTS_WITHOUT_TRUTH.index(plant)}"
+            )
     axes.axvline(1.0, color="0.4", lw=0.8)
-    axes.set(xscale="log", xlabel=f"validation error over the 7-parameter floor after {EARLY} s, encoder", yticks=range(len(names)))
+    axes.set(
+        xscale="log", xlabel=f"validation error over the 7-parameter floor after {FIRST_CHECK} s, encoder", yticks=range(len(names))
+    )
     axes.set_yticklabels(list(reversed(names)))
-    for i, plant in enumerate(FIT):
+    for i, plant in enumerate(PLANTS_WITHOUT_TRUTH):
         axes.plot([], [], ".", color=f"C{i}", label=plant)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8)
     axes.grid(axis="x", alpha=0.3)
@@ -276,11 +290,12 @@ def figure_floor(results: Results, out: Path) -> None:
     plt.close(figure)
 
 
-ABOUT = f"""# Observers compared
+STUDY_INTRODUCTION = f"""# Observers compared
 
-{COMMAND} runs every observer that estimates parameters, with its default settings, on closed-loop records of {LATE} s under the
-reference controller, on {{n}} records of each plant (seeds 1 to {{seeds}}, both orders of the reference; the best one on as many
-again, with the seeds that follow), from clean signals and from the encoder (40 000 counts a turn; velocity: differences of counts).
+{COMMAND} runs every observer that estimates parameters, with its default settings, on closed-loop records of {LAST_CHECK} s under
+the reference controller, on {{n}} records of each plant (seeds 1 to {{seeds}}, both orders of the reference; the best one on as
+many again, with the seeds that follow), from clean signals and from the encoder (40 000 counts a turn; velocity: differences of
+counts).
 Methods that take alpha2 and b as known are told the true ones. Each cell: median / worst record, of the worst of the parameters;
 "never": not by the end, or no number; "failed": runs that ended early. An even number of records has the larger of the two in the
 middle as its median. Plants S, R: the modified law, parameters known. L0, L1: original LuGre without and with
@@ -305,16 +320,23 @@ def publish(found: Mapping[Any, Path], docs: Path) -> str:
     figure_times(results, docs)
     figure_floor(results, docs)
     seeds = max(job.seed for job in found if job.kind == "record")
-    parts = [ABOUT.format(n=len(results.of("record", "S")), seeds=seeds), "## What the best one reaches", goals(results)]
+    parts = [
+        STUDY_INTRODUCTION.format(n=len(results.of("record", "S")), seeds=seeds),
+        "## What the best one reaches",
+        goals(results),
+    ]
     parts += ["![Times](time_to_5_percent.png)", "![Validation](validation_over_floor.png)"]
-    for sensor in SENSORS:
+    for sensor in SENSOR_NAMES:
         parts += [f"## Parameters, {sensor}", identification(results, sensor)]
-        parts += [f"## Validation error over the 7-parameter floor, {sensor}", validation(results, sensor, "modified", FIT)]
-        every = validation(results, sensor, "coulomb", (*WITH_TRUTH, *FIT))
+        parts += [
+            f"## Validation error over the 7-parameter floor, {sensor}",
+            validation(results, sensor, "modified", PLANTS_WITHOUT_TRUTH),
+        ]
+        every = validation(results, sensor, "coulomb", (*WITH_TRUTH, *PLANTS_WITHOUT_TRUTH))
         parts += [f"## Validation error over viscous + Coulomb, {sensor}", every]
-        parts += [f"## Mean error at {LATE} s in %, {sensor}", bias(results, sensor)]
+        parts += [f"## Mean error at {LAST_CHECK} s in %, {sensor}", bias(results, sensor)]
     parts += ["## Normal load doubled at 60 s: seconds until within 5 % again (never: not in 30 s), encoder", changes(results)]
-    parts += [f"## Starts up to ten times off, {STARTED}: not within 5 % at {EARLY} s, encoder", starts(results)]
+    parts += [f"## Starts up to ten times off, {STARTED}: not within 5 % at {FIRST_CHECK} s, encoder", starts(results)]
     parts += ["## Two bodies (Z): largest error at the end of 15 s in %", ABOUT_BODIES, bodies(results)]
     parts += ["## Cost", cost()]
     page = docs / "README.md"

@@ -28,7 +28,7 @@ from pages import publish
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from shared import write_json
-from standard_records import TRUE
+from standard_records import TRUE_PARAMETERS
 
 from bristle.model.sources import fingerprint
 from bristle.observer import observer_program
@@ -36,14 +36,14 @@ from bristle.observer import observer_program
 ROOT = Path(__file__).resolve().parents[2]
 STUDIED = ("S", "R", "L0", "L1", "GMS")
 ORDERS = (1, 2)
-STARTS = 5  # on each record, so that 24 records make more than a hundred
+STARTS_PER_RECORD = 5  # on each record, so that 24 records make more than a hundred
 WORK: dict[str, Callable[[str, int, int], Any]] = {
     "record": jobs.whole,
     "best": jobs.best_alone,
     "bound": jobs.against_the_bound,
     "bodies": jobs.two_bodies,
     "change": jobs.after_a_change,
-    "starts": partial(jobs.from_spread_starts, runs=STARTS),
+    "starts": partial(jobs.from_spread_starts, runs=STARTS_PER_RECORD),
 }
 
 
@@ -68,7 +68,7 @@ class Job:
 def plan(seeds: int) -> Iterator[Job]:
     """Yield all jobs, the longest first. The best method gets as many records again, which no other one has seen."""
     first, again = range(1, seeds + 1), range(seeds + 1, 2 * seeds + 1)
-    known = tuple(TRUE)
+    known = tuple(TRUE_PARAMETERS)
     kinds = (
         ("record", STUDIED, first), ("best", STUDIED, again), ("starts", known, first), ("change", known, (*first, *again)),
         ("bound", known, (*first, *again)),

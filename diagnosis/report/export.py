@@ -19,7 +19,7 @@ from bristle.diagnosis.report.result import Diagnosis, Estimate
 from bristle.fmus.build import build, program_files
 from bristle.fmus.pack import write_archive
 from bristle.plant.effects import effect as find_effect
-from bristle.plant.servo import COUNTS
+from bristle.plant.servo import ENCODER_COUNTS
 
 WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu")
 
@@ -115,7 +115,7 @@ def _settings(model: Model) -> dict[str, float]:
     """Return the start values of the servo: those of the model, and an encoder of its resolution."""
     values = model.settings()
     if model.resolution and model.output_kind == "position":
-        values[COUNTS.name] = min(max(2 * math.pi / model.resolution, COUNTS.minimum), COUNTS.maximum)
+        values[ENCODER_COUNTS.name] = min(max(2 * math.pi / model.resolution, ENCODER_COUNTS.minimum), ENCODER_COUNTS.maximum)
     return values
 
 

@@ -13,15 +13,22 @@ from bristle.model.variables import Namespace, Parameter, State, Variable
 SX = ca.SX
 
 MULTIPLIER, MODULUS = 16807, 2147483647
-SPREAD, OFFSET = 48271, 715225741  # of the seed: streams of neighbouring seeds are then no small multiples of each other
+SEED_MULTIPLIER, SEED_OFFSET = (
+    48271,
+    715225741,
+)  # of the seed: streams of neighbouring seeds are then no small multiples of each other
 WARM_UP = 24  # draws thrown away
 NORMAL_DRAWS = 12  # whose sum is nearly Gaussian
 
 KP = Parameter("kp", "kp", "V.s/rad", 4.0, 0.0, 1e6, "proportional gain", "astrom2008 section 10.1")
 KI = Parameter("ki", "ki", "V/rad", 20.0, 0.0, 1e6, "integral gain", "astrom2008 section 10.1")
-U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage asked for", "dixit2008 section IV-A")
-SEED = Parameter("seed", "seed", "1", 1.0, 1.0, MODULUS - 1.0, "whole number that chooses the reference", "park1988 section 2")
-ORDER = Parameter("order", "order", "1", 1.0, 1.0, 2.0, "low-pass sections of the reference, 1 or 2", "dixit2008 section IV-C")
+CONTROLLER_U_MAX = Parameter("u_max", "u_max", "V", 24.0, 0.0, 1e6, "largest voltage asked for", "dixit2008 section IV-A")
+REFERENCE_SEED = Parameter(
+    "seed", "seed", "1", 1.0, 1.0, MODULUS - 1.0, "whole number that chooses the reference", "park1988 section 2"
+)
+REFERENCE_ORDER = Parameter(
+    "order", "order", "1", 1.0, 1.0, 2.0, "low-pass sections of the reference, 1 or 2", "dixit2008 section IV-C"
+)
 RMS = Parameter("rms", "rms", "rad/s", math.radians(120.0), 0.0, 1e4, "rms of the reference, not clipped", "dixit2008 section IV-C")
 CLIP = Parameter("clip", "clip", "rad/s", math.radians(300.0), 0.0, 1e4, "largest reference", "dixit2008 section IV-C")
 CUTOFF = Parameter("cutoff", "omega_c", "rad/s", 5.0, 1e-3, 1e3, "cut-off of each section", "dixit2008 section IV-C")
@@ -38,7 +45,7 @@ def draw(s: SX) -> SX:
 
 def scrambled(seed: SX) -> SX:
     """Return where the generator starts: 1 ... MODULUS - 1, neighbours far apart."""
-    mixed = SPREAD * ca.floor(seed) + OFFSET
+    mixed = SEED_MULTIPLIER * ca.floor(seed) + SEED_OFFSET
     s = 1 + mixed - ca.floor(mixed / (MODULUS - 1)) * (MODULUS - 1)
     for _ in range(WARM_UP):
         s = draw(s)
@@ -106,7 +113,7 @@ def _control(system: System, p: Namespace, error: SX) -> SX:
 def program() -> Program:
     """Return Controller: it ticks at t_k with the y_v of t_k and publishes u at t_k+1."""
     system = System("controller", "velocity controller with a seeded random reference")
-    for parameter in (KP, KI, U_MAX, SEED, ORDER, RMS, CLIP, CUTOFF, SAMPLE_TIME):
+    for parameter in (KP, KI, CONTROLLER_U_MAX, REFERENCE_SEED, REFERENCE_ORDER, RMS, CLIP, CUTOFF, SAMPLE_TIME):
         system.parameter(parameter)
     y_v = system.input(Variable("y_v", "rad/s", "measured velocity"))
     p = system.namespace()

@@ -6,9 +6,9 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter
 from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters, stribeck_truth
-from bristle.plant.maxwell import ELEMENTS, SHARES, element, memory, stiffnesses
+from bristle.plant.maxwell import MAXWELL_ELEMENTS, MAXWELL_SHARES, element, memory, stiffnesses
 
-PLACES = range(1, ELEMENTS + 1)
+PLACES = range(1, MAXWELL_ELEMENTS + 1)
 
 
 def equations(p: Namespace, v: ca.SX) -> Friction:
@@ -35,7 +35,7 @@ _FORCES, _SLIPS = memory()
 _SOURCE = "albender2005"
 LAW = FrictionLaw(
     "gms",
-    f"generalised Maxwell-slip friction, {ELEMENTS} elements",
+    f"generalised Maxwell-slip friction, {MAXWELL_ELEMENTS} elements",
     _SOURCE,
     equations,
     parameters=(
@@ -44,7 +44,7 @@ LAW = FrictionLaw(
         *stiffnesses("gms", _SOURCE),
         *(
             Parameter(f"gms.alpha{i}", f"alpha{i}", "1", share, 0.0, 1.0, f"share of element {i} in the friction level", _SOURCE)
-            for i, share in zip(PLACES, SHARES, strict=True)
+            for i, share in zip(PLACES, MAXWELL_SHARES, strict=True)
         ),
     ),
     states=tuple(_FORCES),

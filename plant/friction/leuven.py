@@ -6,9 +6,9 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter
 from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters
-from bristle.plant.maxwell import ELEMENTS, SHARES, element, memory, stiffnesses
+from bristle.plant.maxwell import MAXWELL_ELEMENTS, MAXWELL_SHARES, element, memory, stiffnesses
 
-PLACES = range(1, ELEMENTS + 1)
+PLACES = range(1, MAXWELL_ELEMENTS + 1)
 _LEVEL = 0.008  # N.m that all elements hold together: more than Fs, else they all slip before it slides
 
 
@@ -34,7 +34,7 @@ _FORCES, _SLIPS = memory()
 _SOURCE = "lampaert2002"
 LAW = FrictionLaw(
     "leuven",
-    f"modified Leuven friction, {ELEMENTS} Maxwell-slip elements",
+    f"modified Leuven friction, {MAXWELL_ELEMENTS} Maxwell-slip elements",
     "swevers2000, lampaert2002",
     equations,
     parameters=(
@@ -44,7 +44,7 @@ LAW = FrictionLaw(
         *stiffnesses("leuven", _SOURCE),
         *(
             Parameter(f"leuven.W{i}", f"W{i}", "N.m", share * _LEVEL, 0.0, 1e6, f"force at which element {i} slips", _SOURCE)
-            for i, share in zip(PLACES, SHARES, strict=True)
+            for i, share in zip(PLACES, MAXWELL_SHARES, strict=True)
         ),
     ),
     states=tuple(_FORCES),

@@ -12,7 +12,7 @@ from bristle.plant.law import NEGLIGIBLE, Friction, FrictionLaw
 
 SX = ca.SX
 
-EQUATION = "dixit2008 eq. (17)"
+CITATION = "dixit2008 eq. (17)"
 _DEFAULTS = {"gaussian": (600.0, 800.0, 300.0), "polynomial": (1000.0, -60.0, 2.0)}  # sigma0, sigma1, sigma2
 
 
@@ -40,9 +40,9 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
 
     values = (*_DEFAULTS[family], *[0.0] * count)
     sigma = [
-        Parameter(f"{name}.sigma0", "sigma0", "1/s2", values[0], 1e-6, 1e9, "stiffness over inertia", EQUATION),
+        Parameter(f"{name}.sigma0", "sigma0", "1/s2", values[0], 1e-6, 1e9, "stiffness over inertia", CITATION),
         *(
-            Parameter(f"{name}.sigma{i}", f"sigma{i}", "1/s2", values[i], -1e9, 1e9, f"weight of basis function {i}", EQUATION)
+            Parameter(f"{name}.sigma{i}", f"sigma{i}", "1/s2", values[i], -1e9, 1e9, f"weight of basis function {i}", CITATION)
             for i in range(1, count + 1)
         ),
     ]

@@ -10,12 +10,12 @@ from bristle.plant.law import Friction, FrictionLaw
 
 SX = ca.SX
 
-ELEMENTS = 3
+PARALLEL_ELEMENTS = 3
 DISTANCES = (50.0, 150.0, 450.0)  # c_i, 1/rad
-SHARES = (0.4, 0.3, 0.3)  # of the friction level
-LEVELS = (4.0, 16.0 / 3.0, 2.0)  # rad/s2: Coulomb friction, then the weights of the basis functions over c
-EQUATION = "dixit2008 eq. (17); iwan1966 (elements side by side)"
-PLACES = range(1, ELEMENTS + 1)
+ELEMENT_SHARES = (0.4, 0.3, 0.3)  # of the friction level
+ELEMENT_LEVELS = (4.0, 16.0 / 3.0, 2.0)  # rad/s2: Coulomb friction, then the weights of the basis functions over c
+CITATION = "dixit2008 eq. (17); iwan1966 (elements side by side)"
+PLACES = range(1, PARALLEL_ELEMENTS + 1)
 
 
 def equations(p: Namespace, v: SX) -> Friction:
@@ -36,20 +36,22 @@ def equations(p: Namespace, v: SX) -> Friction:
 
 def _parameters() -> tuple[Parameter, ...]:
     found = []
-    for i, (c, share) in enumerate(zip(DISTANCES, SHARES, strict=True), start=1):
+    for i, (c, share) in enumerate(zip(DISTANCES, ELEMENT_SHARES, strict=True), start=1):
         name = f"modified_parallel.c{i}"
-        found.append(Parameter(name, f"c{i}", "1/rad", c, 1e-6, 1e9, f"inverse presliding distance of element {i}", EQUATION))
+        found.append(Parameter(name, f"c{i}", "1/rad", c, 1e-6, 1e9, f"inverse presliding distance of element {i}", CITATION))
         for j in range(BASIS_COUNT + 1):
             low, what = (1e-6, "stiffness over inertia") if j == 0 else (-1e9, f"weight of basis function {j}")
             name = f"modified_parallel.sigma{i}_{j}"
-            found.append(Parameter(name, f"sigma{i}{j}", "1/s2", share * c * LEVELS[j], low, 1e9, f"{what}, element {i}", EQUATION))
+            found.append(
+                Parameter(name, f"sigma{i}{j}", "1/s2", share * c * ELEMENT_LEVELS[j], low, 1e9, f"{what}, element {i}", CITATION)
+            )
     return tuple(found)
 
 
 LAW = FrictionLaw(
     "modified_parallel",
-    f"modified LuGre friction, {ELEMENTS} elements side by side",
-    EQUATION,
+    f"modified LuGre friction, {PARALLEL_ELEMENTS} elements side by side",
+    CITATION,
     equations,
     parameters=_parameters(),
     states=tuple(

@@ -20,8 +20,8 @@ _spec.loader.exec_module(measured)
 
 @pytest.fixture
 def data():
-    if not measured.ROOT.is_dir():
-        pytest.skip(f"no measured data: {measured.ROOT} is not there (set BRISTLE_DATA)")
+    if not measured.MEASURED_FOLDER.is_dir():
+        pytest.skip(f"no measured data: {measured.MEASURED_FOLDER} is not there (set BRISTLE_DATA)")
     return measured
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.fmus import build, obtain
-from bristle.fmus.native import HEADERS, platform_folder
+from bristle.fmus.native import FMI_HEADERS, platform_folder
 from bristle.fmus.pack import write_archive
 from bristle.model.compiler import find_compiler
 
@@ -49,7 +49,7 @@ def test_archive(built, what, fmi):
     name = fmu.description.coSimulation.modelIdentifier
     assert f"binaries/{platform_folder(fmi)}/{name}.so" in names or sys.platform != "linux"
     assert {"modelDescription.xml", "documentation/index.html", "documentation/licenses/license.txt"} <= set(names)
-    assert {f"sources/{header}" for header in HEADERS[fmi]} <= set(names)
+    assert {f"sources/{header}" for header in FMI_HEADERS[fmi]} <= set(names)
 
 
 @pytest.mark.parametrize(("what", "fmi"), NATIVE)

@@ -3,24 +3,32 @@
 import numpy as np
 import pytest
 
-from bristle.fmus.build import WHAT
-from bristle.fmus.reference import EVERY, STEP, STEPS, inputs, outside, read_reference, reference_run
+from bristle.fmus.build import FMU_NAMES
+from bristle.fmus.reference import (
+    REFERENCE_RUN_STEP,
+    REFERENCE_RUN_STEPS,
+    STEPS_PER_ROW,
+    inputs,
+    outside,
+    read_reference,
+    reference_run,
+)
 
 
 def through_fmi(raw, what, names):
     given, handle = inputs(what), raw.running()
     rows = [raw.get(handle, *names)]
-    for k in range(STEPS):
+    for k in range(REFERENCE_RUN_STEPS):
         for name, values in given.items():
             assert raw.set(handle, name, float(values[k])) == 0
-        assert raw.step(handle, STEP * k, STEP) == 0
-        if (k + 1) % EVERY == 0:
+        assert raw.step(handle, REFERENCE_RUN_STEP * k, REFERENCE_RUN_STEP) == 0
+        if (k + 1) % STEPS_PER_ROW == 0:
             rows.append(raw.get(handle, *names))
     return dict(zip(names, np.array(rows).T, strict=True))
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("what", WHAT)
+@pytest.mark.parametrize("what", FMU_NAMES)
 def test_the_fmu_stays_in_the_tube(built, Raw, what, fmi):
     fmu, reference = built(what, fmi=fmi), read_reference(what)
     names = [name for name in fmu.names("output") if name in reference]
@@ -29,7 +37,7 @@ def test_the_fmu_stays_in_the_tube(built, Raw, what, fmi):
     assert outside(expected, through_fmi(Raw(fmu.info), what, names)) == {}
 
 
-@pytest.mark.parametrize("what", WHAT)
+@pytest.mark.parametrize("what", FMU_NAMES)
 def test_the_reference_is_the_run_of_the_program(what):
     reference, run = read_reference(what), reference_run(what)
     assert list(reference) == list(run)
@@ -55,7 +63,7 @@ def test_what_leaves_the_tube_is_named(spoil):
     assert list(outside(reference, spoil(dict(reference)))) == ["u"]
 
 
-@pytest.mark.parametrize("what", WHAT)
+@pytest.mark.parametrize("what", FMU_NAMES)
 def test_readme_is_ten_lines(what):
     from importlib.resources import files
 

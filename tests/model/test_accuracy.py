@@ -17,7 +17,7 @@ def relative_error(found, expected):
 @pytest.mark.parametrize("scenario", SCENARIOS)
 @pytest.mark.parametrize("name", SETS)
 def test_default_tolerance_meets_the_limits_with_margin(reference, closed_loop, name, scenario):
-    plant, make = reference.PLANTS[name], reference.scenarios(name, LENGTH)[scenario]
+    plant, make = reference.REFERENCE_PLANTS[name], reference.scenarios(name, LENGTH)[scenario]
     expected, u = reference.solve(plant, make(), LENGTH)
     found, _ = closed_loop(plant, make(), LENGTH)
     assert np.all(relative_error(found, expected) <= LIMITS / 3)
@@ -35,7 +35,7 @@ def test_default_tolerance_meets_the_limits_with_margin(reference, closed_loop, 
 
 
 def test_a_looser_tolerance_is_not_enough(reference, closed_loop):
-    plant, make = reference.PLANTS["T"], reference.scenarios("T", LENGTH)["stick-slip"]
+    plant, make = reference.REFERENCE_PLANTS["T"], reference.scenarios("T", LENGTH)["stick-slip"]
     expected, _ = reference.solve(plant, make(), LENGTH)
     found, _ = closed_loop(plant, make(), LENGTH, tolerance=1e-4)
     assert np.any(relative_error(found, expected) > LIMITS)
@@ -43,7 +43,7 @@ def test_a_looser_tolerance_is_not_enough(reference, closed_loop):
 
 @pytest.mark.parametrize("name", SETS)
 def test_the_reference_agrees_with_radau(reference, name):
-    plant, n = reference.PLANTS[name], 60
+    plant, n = reference.REFERENCE_PLANTS[name], 60
     u = 20.0 * np.sign(np.sin(np.arange(n) / 8.0))
     expected, _ = reference.solve(plant, lambda k, _theta, _v: u[k], n)
     x = np.zeros(3)
@@ -59,7 +59,7 @@ def test_the_reference_agrees_with_radau(reference, name):
 
 def end_speeds(reference, closed_loop, name, volts, seconds):
     n = round(seconds * 1000)
-    plant = reference.PLANTS[name]
+    plant = reference.REFERENCE_PLANTS[name]
     ours, _ = closed_loop(plant, lambda *_: volts, n)
     explicit = reference.rk4(plant, volts, seconds)
     tight, _ = reference.solve(plant, lambda *_: volts, n)

@@ -5,7 +5,7 @@ import itertools
 import casadi as ca
 import pytest
 
-from bristle.model.branches import FEWEST, Branch, Line, arranged
+from bristle.model.branches import MIN_BRANCH_OPERATIONS, Branch, Line, arranged
 from bristle.model.emit import emit_c, emit_python
 from bristle.model.program import Kernel
 
@@ -43,7 +43,7 @@ def computed(done, hold):
 
 
 def test_what_one_branch_needs_alone_is_computed_there():
-    long = chain("b", "x", FEWEST)
+    long = chain("b", "x", MIN_BRANCH_OPERATIONS)
     lines = [Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *long, chosen("r", "c", long[-1].name)]
     done = arranged(lines, ["r"])
     assert [line.name for line in done[:2]] == ["x", "c"]
@@ -55,7 +55,7 @@ def test_what_one_branch_needs_alone_is_computed_there():
 @pytest.mark.parametrize("wanted", [["r", "b3"], ["r"]])
 def test_what_is_needed_elsewhere_stays_outside(wanted):
     """Once wanted for itself, or by another line, a value is computed in any case; so is what it needs."""
-    long = chain("b", "x", FEWEST + 4)
+    long = chain("b", "x", MIN_BRANCH_OPERATIONS + 4)
     other = [Line("y", "b3 * 2", ("b3",))] if wanted == ["r"] else []
     lines = [Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *long, *other, chosen("r", "c", long[-1].name)]
     done = arranged(lines, [*wanted, *(line.name for line in other)])
@@ -66,12 +66,17 @@ def test_what_is_needed_elsewhere_stays_outside(wanted):
 
 
 def test_a_short_branch_is_not_worth_it():
-    lines = [Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *chain("b", "x", FEWEST - 1), chosen("r", "c", f"b{FEWEST - 2}")]
+    lines = [
+        Line("x", "v[0]", ()),
+        Line("c", "x < 0", ("x",)),
+        *chain("b", "x", MIN_BRANCH_OPERATIONS - 1),
+        chosen("r", "c", f"b{MIN_BRANCH_OPERATIONS - 2}"),
+    ]
     assert not branches(arranged(lines, ["r"]))
 
 
 def test_branches_that_need_each_other_come_in_order():
-    first, second = chain("b", "x", FEWEST), chain("d", "r", FEWEST)
+    first, second = chain("b", "x", MIN_BRANCH_OPERATIONS), chain("d", "r", MIN_BRANCH_OPERATIONS)
     lines = [
         Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *first, chosen("r", "c", first[-1].name),
         Line("e", "r < 2", ("r",)), *second, chosen("s", "e", second[-1].name), Line("t", "s + r", ("s", "r")),
@@ -84,7 +89,7 @@ def test_branches_that_need_each_other_come_in_order():
 
 def test_what_two_conditions_need_under_a_third_is_computed_under_that():
     """Each of two values is chosen by a condition of its own, and then both by a third one, which alone may make them needless."""
-    long = chain("b", "x", FEWEST)
+    long = chain("b", "x", MIN_BRANCH_OPERATIONS)
     ends = [
         line for k, c in (("p", "d"), ("q", "e"))
         for line in (chosen(f"{k}1", c, long[-1].name), Line(f"{k}2", f"{k}1 * 3", (f"{k}1",)), chosen(f"{k}3", "c", f"{k}2"))
@@ -99,7 +104,7 @@ def test_what_two_conditions_need_under_a_third_is_computed_under_that():
 
 
 def test_a_branch_inside_another():
-    long, longer = chain("b", "x", FEWEST), chain("d", "y", FEWEST)
+    long, longer = chain("b", "x", MIN_BRANCH_OPERATIONS), chain("d", "y", MIN_BRANCH_OPERATIONS)
     lines = [
         Line("x", "v[0]", ()), Line("c", "x < 0", ("x",)), *long, Line("e", "b1 < 2", ("b1",)), Line("y", "b2 * 2", ("b2",)),
         *longer, chosen("s", "e", longer[-1].name), Line("t", f"s + {long[-1].name}", ("s", long[-1].name)), chosen("r", "c", "t"),
@@ -112,11 +117,11 @@ def test_a_branch_inside_another():
 def test_a_kernel_has_the_branch_in_c_and_the_expression_in_python():
     x = ca.SX.sym("x", 2)
     far = x[1]
-    for _ in range(FEWEST):
+    for _ in range(MIN_BRANCH_OPERATIONS):
         far = ca.sin(far) + x[0]
     function = ca.Function("turn", [x, ca.SX.sym("h")], [ca.if_else(x[0] < 0, far, x[1])])
     kernel = Kernel("turn", ((function, (0,)),), (3, 4), True)
     text = emit_c(kernel)
     inside = text[text.index("if (") : text.index("        }\n", text.index("if ("))]
-    assert inside.count("sin(") == text.count("sin(") == FEWEST
+    assert inside.count("sin(") == text.count("sin(") == MIN_BRANCH_OPERATIONS
     assert "if (" not in emit_python(kernel)

@@ -454,4 +454,4 @@ def test_nothing_makes_an_estimate_infinite(method, name):
 
 
 def test_entries_and_rows_agree_in_number():
-    assert len(eight(np.ones(6))) == swapping.ENTRIES == swapping.ROW - 1
+    assert len(eight(np.ones(6))) == swapping.ENTRY_COUNT == swapping.ROW - 1

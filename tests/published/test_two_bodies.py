@@ -19,9 +19,9 @@ UNIT = 1e-3  # m; the model's "rad" is a millimetre here
 
 def found(u, theta, v):
     """Return mass, damping, distance and friction as the observer says in the end."""
-    instance = Native(observer_program("swapped"), {"sample_time": bodies.STEP, "swapped.cutoff": 60.0})
+    instance = Native(observer_program("swapped"), {"sample_time": bodies.SET_Z_STEP, "swapped.cutoff": 60.0})
     inputs = {"u": u, "y_theta": theta, "y_v": v}
-    out, _ = instance.run(bodies.STEP, inputs, [f"{name}_hat" for name in ("b", "alpha2", "sigma0", "c")])
+    out, _ = instance.run(bodies.SET_Z_STEP, inputs, [f"{name}_hat" for name in ("b", "alpha2", "sigma0", "c")])
     b, alpha2, sigma0, c = out[-1]
     mass = 1 / (b * UNIT)
     return np.array([mass, alpha2 * mass, UNIT / c, sigma0 / c * UNIT * mass])
