@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,9 +15,16 @@ from bristle.common.errors import BristleError, suggest
 
 
 class Section(BaseModel):
-    """A table of the file; unknown keys are mistakes."""
+    """A table of the file; unknown keys are mistakes. The text below a key describes it (docs/generate.py)."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+@dataclass(frozen=True)
+class InUnit:
+    """The SI unit of a key that is written as text with a unit, as metadata of its type."""
+
+    unit: str
 
 
 def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:

@@ -18,6 +18,38 @@ BAND = 5.0  # percent; settling is the last time the error exceeds it
 LOADED = ("Fc", "sigma0", "sigma1", "sigma2")  # true values that grow in proportion to the normal load
 LATE = 0.1  # the last part of a run, over which the late state errors are taken
 
+# What a check may demand: path in result.json -> (SI unit, meaning). PARAMETER, STATE and BASELINE stand for names.
+CHECK_QUANTITIES = {
+    "steps": ("1", "communication steps that were done"),
+    "duration_s": ("s", "simulated time"),
+    "step_s": ("s", "communication step"),
+    "tracking_rms": ("rad/s", "rms difference between reference and velocity; only with a controller"),
+    "estimates.PARAMETER.final": ("of the parameter", "estimate at the end; none while the observer calls it not valid"),
+    "estimates.PARAMETER.true": (
+        "of the parameter",
+        "true value at the end; none on a record or for a law without it",
+    ),
+    "estimates.PARAMETER.error_percent": ("%", "error of the final estimate relative to the true value, with its sign"),
+    "estimates.PARAMETER.settling_s": ("s", "last time the absolute error exceeds 5 %; none if it still does at the end"),
+    "estimates.PARAMETER.moved": ("of the parameter", "largest distance of the estimate from its first value"),
+    "estimates.PARAMETER.moved_percent": ("%", "the same relative to the true value"),
+    "states.STATE.rms": ("of the state", "rms error of an estimated state over the whole run"),
+    "states.STATE.late_rms": ("of the state", "the same over the last tenth of the run"),
+    "states.STATE.late_percent": ("%", "the same over the last tenth, relative to the standard deviation of the state"),
+    "record.samples": ("1", "samples of the measured file; only with [record]"),
+    "validation.mse_percent": ("%", "open-loop error of the identified model on the second run, eq. (25) of dixit2008"),
+    "validation.seed": ("1", "seed of the second run"),
+    "validation.duration_s": ("s", "length of the second run"),
+    "validation.rms_velocity": ("rad/s", "standard deviation of the velocity in the second run"),
+    "validation.BASELINE_mse_percent": (
+        "%",
+        "the same of a fitted model: linear (viscous), coulomb, floor (best fit of the law)",
+    ),
+    "validation.mse_over_BASELINE": ("1", "mse_percent over that of the fitted model; below 1 the identified model is better"),
+    "validation.fits.BASELINE.identification_mse_percent": ("%", "error of the fitted model on the first run"),
+    "validation.fits.BASELINE.runs": ("1", "simulations that the fit took"),
+}
+
 
 def mse_percent(measured: Array, predicted: Array) -> float:
     """Return 100 var(measured - predicted) / var(measured); not a number if anything in it is not.

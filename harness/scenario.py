@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from bristle.common.errors import BristleError
-from bristle.common.toml import Section, first_mistake, mistake, read_toml
+from bristle.common.toml import InUnit, Section, first_mistake, mistake, read_toml
 from bristle.common.units import quantity
 from bristle.records.layout import ColumnTable, LayoutTable
 
@@ -29,7 +29,7 @@ def _seconds(given: object) -> float:
     return value
 
 
-Seconds = Annotated[float, BeforeValidator(_seconds)]
+Seconds = Annotated[float, BeforeValidator(_seconds), InUnit("s")]
 Given = str | int | float | bool
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -38,13 +38,16 @@ class Part(Section):
     """An FMU on the bus: built by bristle, or a file of somebody else's."""
 
     fmu: str | None = None
+    """Path of an FMU, relative to the scenario file, in place of one that is built."""
     parameters: dict[str, Given] = Field(default={})
+    """Start values by the names of the FMU's parameters, as text with a unit ("0.001 kg.m2") or as a number in the FMU's unit."""
 
 
 class Plant(Part):
     """The servo: a friction law of ours, or an FMU with inputs u (tau_load, load_scale) and outputs theta, v."""
 
     law: str | None = None
+    """Friction law of the plant that is built."""
 
 
 class Controller(Part):
@@ -55,13 +58,16 @@ class Observer(Part):
     """The adaptive observer: a method of ours, or an FMU with inputs u, y_theta, y_v and outputs P_hat, P_valid."""
 
     method: str | None = None
+    """Method of the observer that is built."""
 
 
 class Stimulus(Section):
     """A plant input held constant between points in time; one of u takes the place of the controller."""
 
     variable: str
+    """Input of the plant."""
     points: list[tuple[Given, Given]] = Field(min_length=1)
+    """Pairs [time, value]: from this time on the input has this value."""
 
 
 class Record(LayoutTable):
@@ -75,18 +81,26 @@ class Validation(Section):
     """A second run of the same plant and controller, on which open-loop models are compared."""
 
     seed: int = Field(default=2, ge=1)
+    """Seed of the reference signal of the second run; it must differ from that of the first."""
     duration: Seconds = 100.0
+    """Length of the second run."""
     baselines: bool = True
+    """Whether fitted viscous and Coulomb models, and the best fit of the identified law, are compared as well."""
 
 
 class Check(Section):
     """A demand on a number of result.json."""
 
     quantity: str
+    """Dotted path of a number of result.json; the table of check quantities lists them."""
     name: str | None = None
+    """Name of the check in the report; otherwise the path."""
     min: Number | None = None
+    """The number must be at least this."""
     max: Number | None = None
+    """The number must be at most this."""
     max_abs: Number | None = None
+    """The absolute value of the number must be at most this."""
 
     @model_validator(mode="after")
     def _limited(self) -> Check:
@@ -99,21 +113,37 @@ class Scenario(Section):
     """A scenario file, checked as far as it can be without looking at the FMUs."""
 
     name: str = ""
+    """Name of the scenario; where it is given it must be the name of the file."""
     title: str = ""
+    """Headline of the report."""
     shows: str = ""
+    """What the scenario shows, for the report."""
     source: str = ""
+    """Where plant and method come from, for the report."""
     limits: str = ""
+    """What the scenario does not show, for the report."""
     duration: Seconds | None = None
+    """Length of the run; required with [plant]."""
     step: Seconds = 1e-3
+    """Communication step: the interval at which all FMUs exchange values. The duration is a whole number of steps."""
     plant: Plant | None = None
+    """The servo; required unless [record] is given."""
     controller: Controller = Controller()
+    """Reference generator and PI controller; our own where the table is left out."""
     observer: Observer
+    """The adaptive observer under test."""
     sensor: Literal["clean", "encoder"] = "clean"
+    """What the observer reads: exact position and velocity, or counts of an encoder and their differences."""
     controller_sensor: Literal["clean", "encoder"] = "clean"
+    """What the controller reads."""
     stimuli: list[Stimulus] = Field(default=[])
+    """Inputs of the plant that change at given times."""
     record: Record | None = None
+    """A measured file in place of plant and controller."""
     validation: Validation | None = None
+    """A second run, on which the identified model is compared with others."""
     checks: list[Check] = Field(min_length=1)
+    """The verdict: the scenario passes if all of them hold."""
 
     @field_validator("checks", mode="before")
     @classmethod

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bristle.harness import metrics
 from bristle.harness.run import Options, Run, run
 
 Maker = Callable[..., Path]
@@ -63,6 +65,24 @@ quantity = "validation.floor_mse_percent"
 max = 50
 """)
     return run(path, folder / "out")
+
+
+def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> None:
+    """The numbers of result.json, with names of parameters, states and fitted models generalised, are those of the table."""
+    result = json.loads((finished.folder / "result.json").read_text())
+
+    def paths(node: object, path: str) -> Iterator[str]:
+        if isinstance(node, dict):
+            for key, value in node.items():
+                yield from paths(value, f"{path}.{key}" if path else key)
+        elif isinstance(node, (int, float)) and not isinstance(node, bool) and ".parameters." not in path:
+            yield path
+
+    found = {re.sub(r"^estimates\.\w+", "estimates.PARAMETER", path) for path in paths(result, "")}
+    found = {re.sub(r"^states\.\w+", "states.STATE", path) for path in found}
+    found = {re.sub(r"(?<=[._])(linear|coulomb|floor)(?=_mse|$|\.)", "BASELINE", path) for path in found}
+    found = {path for path in found if not path.startswith(("timing.", "wall_s"))}  # known only when the checks are done
+    assert found == set(metrics.CHECK_QUANTITIES) - {"record.samples"}
 
 
 def test_result_json_keeps_the_contract(finished: Run) -> None:
