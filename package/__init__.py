@@ -250,15 +250,15 @@ def load_model(file: PathLike) -> Model:
     return _model(file)
 
 
-def load_record(file: PathLike, model: PathLike | Model) -> Record:
+def load_record(model: PathLike | Model, file: PathLike) -> Record:
     """Read, check and clean one measured file.
 
     Parameters
     ----------
-    file : path
-        CSV, MAT, NPZ or Parquet file.
     model : path or Model
         Says which columns hold time, input and output, and their units.
+    file : path
+        CSV, MAT, NPZ or Parquet file.
 
     Returns
     -------
@@ -270,21 +270,21 @@ def load_record(file: PathLike, model: PathLike | Model) -> Record:
     BristleError
         If the file cannot be read or its columns are not usable, or a gap splits it into several records: then use `load_records`.
     """
-    records = load_records(file, model)
+    records = load_records(model, file)
     if len(records) != 1:
         raise BristleError(f"{file}: gaps split it into {len(records)} records; use load_records")
     return records[0]
 
 
-def load_records(files: PathLike | Sequence[PathLike], model: PathLike | Model) -> list[Record]:
+def load_records(model: PathLike | Model, files: PathLike | Sequence[PathLike]) -> list[Record]:
     """Read, check and clean measured files.
 
     Parameters
     ----------
-    files : path or sequence of path
-        CSV, MAT, NPZ or Parquet files.
     model : path or Model
         Says which columns hold time, input and output, and their units.
+    files : path or sequence of path
+        CSV, MAT, NPZ or Parquet files.
 
     Returns
     -------

@@ -47,7 +47,17 @@ class LayoutTable(Section):
 # -- the layout --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Column:
-    """A column of a record: its name, its unit, and the scale over that unit, where there is one."""
+    """A column of a record.
+
+    Attributes
+    ----------
+    column : str
+        Its name in the file.
+    unit : str
+        Its unit.
+    scale : str or None
+        What one of that unit is worth, such as ``"0.088 deg"``, where it is no plain unit.
+    """
 
     column: str
     unit: str

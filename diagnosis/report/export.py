@@ -49,8 +49,6 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
     ----------
     diagnosis : Diagnosis
         From `diagnose` or `diagnose_fmu`.
-    out : Path
-        The folder; created if it is missing.
     choose : str, optional
         Member of a tie to take as if it had been named.
 
@@ -214,6 +212,10 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
 
     Parameters
     ----------
+    diagnosis : Diagnosis
+        From `diagnose` or `diagnose_fmu`.
+    out : Path
+        The folder; created if it is missing.
     choose : str, optional
         Member of a tie to add by hand.
     fmi : int

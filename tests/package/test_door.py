@@ -136,7 +136,7 @@ def test_a_diagnosis_takes_paths_and_loaded_objects(wrong_unit, tmp_path):
     assert "mN.m" in by_path.proposals[0]
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"] == "not_identifiable"
     model = bristle.load_model(wrong_unit)
-    records = bristle.load_records(DATA, wrong_unit)
+    records = bristle.load_records(wrong_unit, DATA)
     seen = []
     loaded = bristle.diagnose(model, records, progress=lambda text, share: seen.append(share))
     assert (loaded.proposals, loaded.gap) == (by_path.proposals, by_path.gap)
@@ -145,9 +145,9 @@ def test_a_diagnosis_takes_paths_and_loaded_objects(wrong_unit, tmp_path):
 
 
 def test_one_record_is_loaded(wrong_unit):
-    record = bristle.load_record(DATA[0], wrong_unit)
+    record = bristle.load_record(wrong_unit, DATA[0])
     assert isinstance(record, bristle.Record)
-    [same] = bristle.load_records(str(DATA[0]), bristle.load_model(wrong_unit))
+    [same] = bristle.load_records(bristle.load_model(wrong_unit), str(DATA[0]))
     np.testing.assert_array_equal(record.u, same.u)
     one = bristle.diagnose(wrong_unit, record)
     assert isinstance(one, bristle.Diagnosis)
@@ -159,7 +159,7 @@ def test_a_file_with_a_gap_is_not_one_record(wrong_unit, tmp_path):
     kept = np.r_[0 : n // 2 - 500, n // 2 + 500 : n]
     np.savez(tmp_path / "gap.npz", **{name: column[kept] for name, column in columns.items()})
     with pytest.raises(bristle.BristleError, match="2 records; use load_records"):
-        bristle.load_record(tmp_path / "gap.npz", wrong_unit)
+        bristle.load_record(wrong_unit, tmp_path / "gap.npz")
 
 
 def test_mistakes_are_found_before_the_work_begins(wrong_unit, tmp_path):
