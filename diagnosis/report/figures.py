@@ -41,7 +41,8 @@ LABEL: Any = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
 DRAWN_MAPS = 3  # views that are drawn
 DRAWN_BARS = 9  # candidates of a round that are drawn
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-NOTE_LETTERS = 50  # letters of a note beside a bar
+NOTE_LETTERS = 30  # letters of a note beside a bar
+NAME_WIDTH = 0.29  # part of the width of a figure for the names beside bars
 PER_ROW = 2  # rounds beside each other
 AXIS_UNITS = {  # SI unit -> factor and unit of a figure's axis
     "rad": (DEGREES, "deg"), "rad/s": (DEGREES, "deg/s"), "rad/s2": (DEGREES, "deg/s²"),
@@ -313,13 +314,16 @@ def _candidates(diagnosis: Diagnosis, rig: Rig) -> Any:
     bars = max(min(DRAWN_BARS, len(r.candidates)) for r in rounds)
     figure = new_figure(11.0, rows * (0.26 * bars + 0.95))
     axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-    figure.subplots_adjust(wspace=0.06, hspace=0.5)
-    _narrow_left(figure)
+    figure.subplots_adjust(left=NAME_WIDTH, wspace=NAME_WIDTH * columns / (1.0 - columns * NAME_WIDTH), hspace=0.5)
     for number, (ax, each) in enumerate(zip(axes, rounds, strict=False), start=1):
         _bars(ax, each, _tied(diagnosis, each, number == len(rounds)), rig.wording)
         more = len(each.candidates) - DRAWN_BARS
         added = f"{effect_name(each.added, rig.wording)} added" if each.added else "nothing added"
-        set_title(ax, f"round {number}: {added}" + (f"; {more} more gain less" if more > 0 else ""))
+        set_title(
+            ax,
+            f"round {number}: {added}" + (f"; {more} more gain less" if more > 0 else ""),
+            x=-0.97 * NAME_WIDTH / ax.get_position().width,
+        )
     for ax in axes[len(rounds) :]:
         ax.set_visible(False)
     return figure
@@ -336,7 +340,7 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     ranked = sorted(each.candidates, key=lambda c: -c.gain if math.isfinite(c.gain) else math.inf)
     drawn = ranked[:DRAWN_BARS]
     best = max((c.gain for c in drawn if math.isfinite(c.gain)), default=0.0)
-    right = 1.7 * max(best, each.null_level, 1e-9)
+    right = 1.35 * max(best, each.null_level, 1e-9)
     for row, candidate in enumerate(drawn):
         ax.barh(row, candidate.level, color=GREY, alpha=0.25, height=0.98, linewidth=0)
         ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -345,11 +349,11 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
         ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
         gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
         note = f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})" if candidate.note else ""
-        text = f"{effect_name(candidate.name, wording)}  {gained}{note}"
-        ax.text(gain + 0.012 * right, row, text, va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
+        ax.text(gain + 0.012 * right, row, f"{gained}{note}", va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
     ax.set_xlim(0, right)
     ax.set_ylim(len(drawn) - 0.5, -0.6)
-    ax.set_yticks([])
+    ax.set_yticks(range(len(drawn)), [effect_name(candidate.name, wording) for candidate in drawn], fontsize=8)
+    ax.tick_params(axis="y", length=0)
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
     set_labels(ax, x="gain, nats")

@@ -13,7 +13,7 @@ import pytest
 import bristle.diagnosis as diagnosis
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report import export
-from bristle.diagnosis.report.html import WORDS
+from bristle.diagnosis.report.html import VERDICTS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")
@@ -45,7 +45,7 @@ def test_every_key_file_and_verdict_is_explained(answer):
     keys = {*content, *content["effects"][0], *content["gap"], *content["remains"], *content["where"][0]}
     keys |= set(next(iter(content["effects"][0]["parameters"].values())))
     assert keys <= explained
-    assert {*export.WRITTEN_FILES, *WORDS, "chosen", "--choose NAME"} <= explained
+    assert {*export.WRITTEN_FILES, *VERDICTS, "chosen", "--choose NAME"} <= explained
 
 
 PAGES = [*DOCS.glob("*.md"), DOCS.parent / "README.md"]
