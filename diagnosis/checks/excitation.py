@@ -14,24 +14,24 @@ from bristle.diagnosis.modelfile import Model
 from bristle.records.record import Record
 
 VELOCITY_SMOOTHING = 0.02  # s: half-width of the parabola that gives the velocity
-REST_SPEED = 0.02  # of the rms speed: below it is rest
-SLOW_SPEED = 0.1  # of the largest speed: below it is slow
-BANDWIDTH_POWER = 0.95  # share of the input's power below its bandwidth
-TONE_POWER = 0.9  # share of the power within a narrow band that makes a motion one oscillation
-RESOLVED_PERIODS = 5  # periods within a record that tell a tone from any slow motion
-REVERSAL_DWELL = 0.05  # s in one direction between reversals, so that noise does not reverse
-HALF_TURN = float(np.pi)
-COARSE_PERIOD = 0.02  # s: an input that changes between samples so far apart is hardly known (at 16 ms no name of 12 was wrong)
+REST_SPEED = 0.02  # of the rms speed: below it the servo is at rest
+SLOW_SPEED = 0.1  # of the largest speed: below it the servo is slow
+BANDWIDTH_POWER = 0.95  # of the input's power: share below its bandwidth
+TONE_POWER = 0.9  # of the speed's power: share of one tone from which on the motion is one oscillation
+RESOLVED_PERIODS = 5  # periods within a record from which on a tone is distinguished from slow motion
+REVERSAL_DWELL = 0.05  # s: least motion in one direction before and after a reversal
+HALF_TURN = float(np.pi)  # rad
+COARSE_PERIOD = 0.02  # s: sampling period above which an input that changes between samples is poorly known
+SHORT_DURATION = 5.0  # s: duration of all records below which too few segments can be held out
+SINE_RANGE = float(np.pi / 2)  # rad: range below which a sine of the position is nearly a straight line
 VELOCITY_CAVEAT = (
-    "velocities only: each record is taken to begin at position 0; what depends on the position shows, and has the right phase, "
-    "only if they begin at the same place"
+    "velocities only: position 0 is assumed at the beginning of each record; effects that depend on the position are found, with "
+    "the right phase, only if all records begin at the same position"
 )
-SHORT_DURATION = 5.0  # s in all: of less, two or three stretches are all that can be kept from the search to prove an effect
-SINE_RANGE = float(np.pi / 2)  # a sine over a shorter range is nearly a straight line
 
 
 def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
-    """Describe what the records excite.
+    """Return what the records excite, as numbers and caveats.
 
     Parameters
     ----------
@@ -43,22 +43,22 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain numbers, and ``{"value", "unit"}`` for what has a unit; ``caveats`` is a list of sentences on what such
-        records cannot show.
+        Plain numbers, and ``{"value", "unit"}`` for what has a unit; ``narrow`` says why the records do not tell effects
+        apart by their form, ``caveats`` what else they cannot show.
     """
     length = "m" if model.linear else "rad"
-    moved = [_motion(model, r) for r in records]
-    theta, v = [m[0] for m in moved], np.concatenate([m[1] for m in moved])
+    positions, velocities = zip(*(_motion(model, r) for r in records), strict=True)
+    v = np.concatenate(velocities)
     u = np.concatenate([r.u for r in records])
     top = float(np.quantile(np.abs(v), 0.999))
-    rest = max(REST_SPEED * float(np.sqrt(np.mean(v**2))), _blind(model, records))
+    rest = max(REST_SPEED * float(np.sqrt(np.mean(v**2))), _least_speed(model, records))
     still = np.abs(v) < rest
-    reversals = sum(_reversals(m[1], rest, r.h) for m, r in zip(moved, records, strict=True))
+    reversals = sum(_reversals(each, rest, r.h) for each, r in zip(velocities, records, strict=True))
     forward = float(np.mean(v > rest))
     backward = float(np.mean(v < -rest))
     band = max(_spectrum(r.u, r.h)[0] for r in records)
-    tone = min(_spectrum(m[1], r.h)[1] for m, r in zip(moved, records, strict=True))
-    span = max(float(np.ptp(x)) for x in theta)
+    tone = min(_spectrum(each, r.h)[1] for each, r in zip(velocities, records, strict=True))
+    span = max(float(np.ptp(x)) for x in positions)
     slow = float(np.mean((np.abs(v) < SLOW_SPEED * top) & ~still))
     seconds = sum(len(r) * r.h for r in records)
     numbers: dict[str, Any] = {
@@ -73,7 +73,7 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         "speed_dominant_tone_share": tone,
         "speed_rms": _with(f"{length}/s", float(np.sqrt(np.mean(v**2)))),
         "range_travelled": _with(length, span),
-        "path_travelled": _with(length, float(sum(np.sum(np.abs(np.diff(x))) for x in theta))),
+        "path_travelled": _with(length, float(sum(np.sum(np.abs(np.diff(x))) for x in positions))),
         "reversals": reversals,
         "rest_share": float(np.mean(still)),
         "slow_share": slow,
@@ -86,22 +86,22 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         gain = model.parameters["b"]
         ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
         numbers["torque_range"] = {"lowest": ends[0], "highest": ends[1], "unit": "N" if model.linear else "N.m"}
-    numbers["narrow"] = _narrow(model, records, numbers)
-    numbers["caveats"] = [*_caveats(model, numbers), *_beside(model, records)]
+    numbers["narrow"] = _poor_excitation(model, records, numbers)
+    numbers["caveats"] = [*_caveats(model, numbers), *_caveats_of_several(model, records)]
     return numbers
 
 
-def _narrow(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> str:
+def _poor_excitation(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> str:
     """Return why effects cannot be told apart by their form on such records, or an empty text.
 
-    Where the servo repeats one motion or hardly turns, speed, position and torque vary together, and nearly any effect
-    can take the place of another that has not quite the form the catalogue gives it; and so it can where little was recorded.
+    Where the servo repeats one motion or hardly turns, speed, position and torque vary together: nearly any effect can
+    replace another whose form differs a little from that of the catalogue. The same holds for short records.
     """
     if numbers["speed_dominant_tone_share"] > TONE_POWER:
-        return "the servo repeats one oscillation; record steps of many sizes, a slow pass over several turns and a sweep"
+        return "the servo repeats one oscillation; record steps of several sizes, slow motion over several turns and a chirp"
     period = numbers["sampling_period"]["value"]
     if period > COARSE_PERIOD and any(record.ahead for record in records):
-        return f"the input changes between samples that are {1e3 * period:.3g} ms apart; log it as often as the drive sets it"
+        return f"the input changes between samples that are {1e3 * period:.3g} ms apart; log it at the rate of the drive"
     if numbers["duration"]["value"] < SHORT_DURATION:
         return f"the records last {numbers['duration']['value']:.3g} s in all; record 20 s or more"
     if not model.linear and numbers["range_travelled"]["value"] < SINE_RANGE:
@@ -122,14 +122,14 @@ def _motion(model: Model, record: Record) -> tuple[Array, Array]:
     return record.y, savgol_filter(record.y, width, 2, deriv=1, delta=record.h)
 
 
-def _blind(model: Model, records: Sequence[Record]) -> float:
-    """Return the speed that one step of the output amounts to within the smoothing."""
+def _least_speed(model: Model, records: Sequence[Record]) -> float:
+    """Return the speed of one step of the output within the smoothing."""
     step = max((r.resolution or 0.0 for r in records), default=0.0)
     return step if model.output_kind == "velocity" else step / (2 * VELOCITY_SMOOTHING)
 
 
 def _reversals(v: Array, rest: float, h: float) -> int:
-    """Count changes of direction, each with some dwell on either side; rest between does not count."""
+    """Count changes of direction, each after and before some dwell; rest is ignored."""
     sense = np.sign(v) * (np.abs(v) > rest)
     sense = sense[sense != 0]
     edges = np.flatnonzero(np.diff(sense)) + 1
@@ -157,13 +157,13 @@ def _spectrum(signal: Array, h: float) -> tuple[float, float]:
     return band, float(np.sum(power[peak - 2 : peak + 3]) / np.sum(power))
 
 
-def _beside(model: Model, records: Sequence[Record]) -> list[str]:
-    """Return in words what several records cannot show because nobody knows how they lie beside each other."""
+def _caveats_of_several(model: Model, records: Sequence[Record]) -> list[str]:
+    """Return what several records cannot show because their relation in time or position is unknown."""
     found, spans = [], sorted((float(r.time[0]), float(r.time[-1])) for r in records)
     if any(later[0] <= earlier[1] for earlier, later in pairwise(spans)):
         found.append(
-            "times of the records overlap: each is taken to have its own clock, so that a drift or a step in time is looked for in "
-            "each alike; log the time of the session if there may be one"
+            "times of the records overlap: a clock of its own is assumed for each, so that a drift or a step in time is "
+            "searched in each alike; log one time for all records if there may be one"
         )
     if model.output_kind == "velocity" and len(records) > 1:
         found.append(VELOCITY_CAVEAT)
@@ -171,39 +171,39 @@ def _beside(model: Model, records: Sequence[Record]) -> list[str]:
 
 
 def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:
-    """Return in words what the numbers mean for what can be told apart."""
+    """Return which effects the numbers show to be indistinguishable or invisible."""
     found = []
     moving = numbers["forward_share"] + numbers["backward_share"]
     less = min(numbers["forward_share"], numbers["backward_share"])
     if less < 0.05 * moving:
-        found.append("nearly always in one direction: friction, bias and gravity's mean cannot be told apart")
+        found.append("nearly always in one direction: friction, bias and the mean of gravity cannot be distinguished")
     elif numbers["rest_share"] < 0.02:
-        found.append("hardly ever at rest: bias and asymmetric friction cannot be told apart; add a rest phase")
+        found.append("hardly ever at rest: bias and asymmetric friction cannot be distinguished; add a rest phase")
     if numbers["rest_share"] > 0.5:
-        found.append(f"at rest for {numbers['rest_share']:.0%} of the time: little is seen of what needs motion")
+        found.append(f"at rest for {numbers['rest_share']:.0%} of the time: effects that need motion hardly show")
     if numbers["reversals"] < 5:
         found.append(f"only {numbers['reversals']} reversals: presliding, backlash and dead zone hardly show")
     if numbers["slow_share"] < 0.03:
-        found.append("hardly ever slow: Stribeck friction and cogging hardly show; add a creep")
+        found.append("hardly ever slow: Stribeck friction and cogging hardly show; add slow motion")
     highest, rms = max(abs(numbers["speed_range"][end]) for end in ("lowest", "highest")), numbers["speed_rms"]["value"]
     if rms > 0.8 * highest:
-        found.append("speed hardly varies: viscous friction, drag and Coulomb friction cannot be told apart")
+        found.append("speed hardly varies: viscous friction, drag and Coulomb friction cannot be distinguished")
     if not model.linear and numbers["range_travelled"]["value"] < HALF_TURN:
-        found.append("less than half a turn: gravity looks like a spring or a bias, an eccentric encoder like a gain")
+        found.append("less than half a turn: gravity is similar to a spring or a bias, an eccentric encoder to a gain")
     if not model.linear and numbers["range_travelled"]["value"] < 4 * np.pi:
-        found.append("less than two turns: what repeats every turn may be taken for something else")
+        found.append("less than two turns: effects that repeat every turn may be taken for others")
     band = numbers["input_bandwidth"]["value"]
     if band > 0.0:
-        alike = 1.0 / (5 * 2 * np.pi * band)  # a fifth of the shortest period's radian: their phases differ by a few thousandths
+        alike = 1.0 / (5 * 2 * np.pi * band)  # s: their phases differ by a few thousandths
         if alike > numbers["sampling_period"]["value"]:
-            found.append(f"input bandwidth {band:.2g} Hz: a delay and an electrical pole below about {alike:.2g} s look alike")
+            found.append(f"input bandwidth {band:.2g} Hz: a delay and an electrical pole below {alike:.2g} s are indistinguishable")
         if band < 5.0:
-            found.append("input stays below 5 Hz: compliance cannot be seen; add a chirp")
+            found.append("input stays below 5 Hz: compliance does not show; add a chirp")
     if numbers["speed_dominant_tone_share"] > TONE_POWER:
-        found.append("one dominant frequency: what depends on speed, position and time varies together")
+        found.append("one dominant frequency: effects of speed, position and time vary together")
     ends = numbers["input_range"]
     if ends["lowest"] >= 0.0 or ends["highest"] <= 0.0:
-        found.append("input of one sign: an unequal gain for the signs cannot be seen")
+        found.append("input of one sign: a gain that differs between the signs does not show")
     if numbers["duration"]["value"] < 20.0:
-        found.append(f"{numbers['duration']['value']:.3g} s in all: slow drift cannot be seen")
+        found.append(f"{numbers['duration']['value']:.3g} s in all: slow drift does not show")
     return found

@@ -139,7 +139,7 @@ def test_little_was_recorded(model):
 
 def test_records_beside_each_other_have_caveats(tree, model):
     t, u, y = swing()
-    overlap, begin = "times of the records overlap", "each record is taken to begin at position 0"
+    overlap, begin = "times of the records overlap", "position 0 is assumed at the beginning of each record"
     for second, told in ((t + 41.0, False), (t, True), (t + 20.0, True)):
         found = excitation(model, records_from_arrays(model, [("a", t, u, y), ("b", second, u, -y)]))
         assert has(found, overlap) is told

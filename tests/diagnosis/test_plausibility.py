@@ -73,7 +73,7 @@ def test_a_mistake_in_one_of_two_records_is_said_of_that_one(name, positions, me
         [line] = said(model, [second, wrong]).proposals
         assert line.startswith("record run1: ")
         assert words in line
-        assert "mend this record, not the model file" in line
+        assert "correct this record, not the model file" in line
 
 
 def test_it_names_the_likely_unit(positions, tree):
@@ -83,7 +83,7 @@ def test_it_names_the_likely_unit(positions, tree):
     assert "a unit of milli" in line
     assert "column 'u'" in line
     [line] = said(model, data, lambda t, u, y: (t, u, np.degrees(y))).proposals
-    assert "has it to do with deg" in line
+    assert "possible causes: deg" in line
     assert "column 'theta'" in line
     [line] = said(model, data, lambda t, u, y: (t * 10, u, y)).proposals
     assert line.startswith("time looks a factor 9.9")
@@ -117,7 +117,7 @@ def test_a_drive_gain_is_part_of_the_torque(measured, tree):
     assert found.fit["J"]["value"] == pytest.approx(0.01, rel=0.04)
     [line] = said(model, [(t, 100 * u, y)]).proposals
     assert line.startswith("voltage looks a factor")
-    assert "or b, the torque per V, wrong in [parameters]" in line
+    assert "a wrong b in [parameters], the torque per V" in line
 
 
 def test_a_common_factor_beyond_tight_bounds_is_a_finding(positions, tree):
