@@ -1,4 +1,4 @@
-"""What there is to choose from, and FMUs as files."""
+"""Friction laws, observers and scenarios by name, and FMUs as files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _choices(what: str, selector: str) -> dict[str, str]:
 
 
 def catalogue() -> dict[str, dict[str, str]]:
-    """Return laws, methods and scenarios with a line about each, as the FMUs and files say it."""
+    """Return laws, methods and scenarios with a line about each, from the FMUs and the scenario files."""
     return {
         "friction laws": _choices("plant", "law"),
         "observer methods": _choices("observer", "method"),

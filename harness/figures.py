@@ -26,30 +26,30 @@ from bristle.common.drawing import (
     svg,
     thin,
 )
-from bristle.harness.metrics import BAND
+from bristle.harness.metrics import SETTLING_BAND
 from bristle.harness.validation import Validation
 
 Array = NDArray[np.float64]
 
-CLOUD = 5000  # of a scatter
-LOOPS, NEAR = 5.0, 30.0  # s and deg/s of the friction loops near rest
-WINDOW = 10.0  # s of signals that are shown
-SYMBOLS = {  # plain characters: setting mathematics would cost as much as a figure
+SCATTER_POINTS = 5000  # points of a scatter diagram
+LOOP_SECONDS, LOOP_SPEED = 5.0, 30.0  # s at the end of the run, deg/s: friction loops near rest that are shown
+SHOWN_SECONDS = 10.0  # s at the end of the run: signals that are shown
+PLAIN_SYMBOLS = {  # of the parameters, as plain characters: mathematical typesetting takes as long as a figure
     "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
     "a0": "a₀", "a1": "a₁", "v0": "v₀",
 }  # fmt: skip
-NAMES = {
+MODEL_LABELS = {  # of the models that are compared
     "model": "observer's model",
     "floor": "floor: fitted 7-parameter model",
     "coulomb": "fitted viscous + Coulomb",
     "linear": "fitted viscous",
 }
-SHADES = {"model": BLUE, "floor": GREEN, "coulomb": ORANGE, "linear": GREY}
+MODEL_COLOURS = {"model": BLUE, "floor": GREEN, "coulomb": ORANGE, "linear": GREY}
 
 
 @dataclass
 class Pictures:
-    """What there is to draw."""
+    """The data of the figures; angles in rad."""
 
     time: Array
     estimates: Mapping[str, Mapping[str, Any]]
@@ -113,11 +113,13 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     index = thin(len(hat))
     time = pictures.time[index]
     unit = _unit(facts["unit"])
-    set_title(ax, f"{SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
+    set_title(ax, f"{PLAIN_SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
     true = pictures.true.get(name)
     if true is not None:
         level = true[index]
-        ax.fill_between(time, level * (1 - BAND / 100), level * (1 + BAND / 100), color=GREY, alpha=0.22, linewidth=0)
+        ax.fill_between(
+            time, level * (1 - SETTLING_BAND / 100), level * (1 + SETTLING_BAND / 100), color=GREY, alpha=0.22, linewidth=0
+        )
         ax.plot(time, level, color=INK, linestyle=(0, (4, 3)), linewidth=1.1)
         _limits(ax, hat, true)
     ax.plot(time, hat[index], color=BLUE)
@@ -127,7 +129,7 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
         ax.axvline(settled, color=GREEN, linewidth=1.0, linestyle=":")
     if error is not None and math.isfinite(error):
         when = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
-        set_title(ax, f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= BAND else RED)
+        set_title(ax, f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= SETTLING_BAND else RED)
 
 
 def _limits(ax: Any, hat: Array, true: Array) -> None:
@@ -147,7 +149,7 @@ def _limits(ax: Any, hat: Array, true: Array) -> None:
 
 def _window(time: Array) -> slice:
     """Return the last seconds of a run."""
-    first = int(np.searchsorted(time, time[-1] - WINDOW))
+    first = int(np.searchsorted(time, time[-1] - SHOWN_SECONDS))
     return slice(first, len(time))
 
 
@@ -190,15 +192,15 @@ def _friction(pictures: Pictures) -> Any:
         if cloud is None:
             continue
         v, force = cloud[0] * DEGREES, cloud[1]
-        index = thin(len(v), CLOUD)
+        index = thin(len(v), SCATTER_POINTS)
         wide.plot(v[index], force[index], ".", color=colour, markersize=size, markeredgewidth=0, label=label, rasterized=True)
-        last = slice(-round(LOOPS / pictures.step), None)
+        last = slice(-round(LOOP_SECONDS / pictures.step), None)
         line = {"linewidth": 2.6, "color": PALE} if colour == PALE else {"linewidth": 0.9, "color": BLUE}
-        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * NEAR, force[last], np.nan), **line)
+        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * LOOP_SPEED, force[last], np.nan), **line)
     set_labels(wide, y="friction over inertia, rad/s²")
     set_title(wide, "whole range")
-    set_title(near, f"near rest, the last {LOOPS:g} s: presliding loops")
-    near.set_xlim(-NEAR, NEAR)
+    set_title(near, f"near rest, the last {LOOP_SECONDS:g} s: presliding loops")
+    near.set_xlim(-LOOP_SPEED, LOOP_SPEED)
     wide.legend(loc="upper left", markerscale=3)
     for ax in (wide, near):
         set_labels(ax, x="velocity, deg/s")
@@ -224,9 +226,9 @@ def _validation(pictures: Pictures) -> Any:
     for name in ("linear", "coulomb", "floor", "model"):
         if name in found.predictions:
             error = (found.predictions[name] - found.measured)[index] * DEGREES
-            low.plot(time, error, color=SHADES[name], linewidth=1.0)
+            low.plot(time, error, color=MODEL_COLOURS[name], linewidth=1.0)
     if "model" in found.predictions:
-        top.plot(time, found.predictions["model"][index] * DEGREES, color=BLUE, linestyle=(0, (3, 2)), label=NAMES["model"])
+        top.plot(time, found.predictions["model"][index] * DEGREES, color=BLUE, linestyle=(0, (3, 2)), label=MODEL_LABELS["model"])
     top.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
     set_labels(top, y="velocity, deg/s")
     top.tick_params(labelbottom=False)
@@ -250,8 +252,8 @@ def _bars(ax: Any, scores: Mapping[str, float]) -> None:
     left = 10 ** math.floor(math.log10(min(values)) - 0.5)
     right = max(values) * 1.5
     for row, ((name, value), bar) in enumerate(zip(shown, values, strict=True)):
-        ax.barh(row, bar - left, left=left, color=SHADES[name], height=0.42)
-        ax.text(left * 1.15, row - 0.34, f"{NAMES[name]}: {value:.3g} %", va="center", fontsize=8.5, color=INK)
+        ax.barh(row, bar - left, left=left, color=MODEL_COLOURS[name], height=0.42)
+        ax.text(left * 1.15, row - 0.34, f"{MODEL_LABELS[name]}: {value:.3g} %", va="center", fontsize=8.5, color=INK)
     ax.set_xscale("log")
     ax.set_xlim(left, right)
     ax.set_ylim(len(shown) - 0.5, -0.7)

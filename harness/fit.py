@@ -1,4 +1,4 @@
-"""Output-error fits of the lean plant FMUs to a record (u, y): the baselines and the floor."""
+"""Output-error fits of the lean plant FMUs to a record (u, y): the baselines and the noise floor."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from bristle.harness.metrics import mse_percent
 
 Array = NDArray[np.float64]
 
-THREADS = 2
-FIRST_STAGE = 15.0  # s of the record on which the starts compete
-SURVIVORS = 2  # starts that are carried on to the whole record
-DIFFERENCE = 1e-3  # relative step of the finite differences
-REACH = math.log(1e4)  # a parameter may move by this factor from its start, up or down
-GATE = 0.2  # of the rms speed; below it the start values' regression looks away
-FILTER = 30.0  # rad/s, of that regression
-MAY_VANISH = ("modified.sigma1", "modified.sigma2", "modified.tau")
-MAY_VANISH_UNIT = 1e-6
-NOTHING_LEFT = 1e-12  # of the variance: below it there is nothing to fit, and solvers' digits begin
-UNBOUNDED_U = 1e6  # V; a record holds what the drive got
+FIT_THREADS = 2  # simulations at a time
+FIRST_STAGE_SECONDS = 15.0  # s at the start of the record, on which start values are compared
+REFINED_STARTS = 2  # start values that are refined on the whole record
+DIFFERENCE_STEP = 1e-3  # step of the finite differences, in scaled parameters
+LOG_RANGE = math.log(1e4)  # of a parameter: it may change by a factor of 1e4 from its start value, up or down
+FAST_SHARE = 0.2  # of the rms speed; slower samples are left out of the regression for start values
+REGRESSION_FILTER = 30.0  # rad/s: first-order filter of that regression
+MAY_VANISH = ("modified.sigma1", "modified.sigma2", "modified.tau")  # parameters that may be 0, hence no logarithms
+MAY_VANISH_UNIT = 1e-6  # SI: least scale of these
+NEGLIGIBLE_COST = 1e-12  # of the variance: a fit that leaves less has converged; the rest is the integrator's rounding
+UNBOUNDED_U = 1e6  # V: a record holds the voltage behind the drive's limit
 
 # The parameters of each lean model, with J = 1 kg.m2: acceleration instead of torque.
-FREE = {
+LEAN_PARAMETERS = {
     "viscous": ("b", "a2"),
     "coulomb": ("b", "a2", "coulomb.Fc"),
     "modified": (
@@ -73,14 +73,14 @@ class LeanModel:
     """A lean plant FMU that predicts y from u, for many sets of parameters at once on all threads."""
 
     def __init__(self, law: str, fmu: Fmu) -> None:
-        self.law, self.free, self.fmu = law, FREE[law], fmu
+        self.law, self.free, self.fmu = law, LEAN_PARAMETERS[law], fmu
         self._fixed = {"J": 1.0, "u_max": UNBOUNDED_U}
         names = [*self.free, *self._fixed, "v_start"]
         self._drives: list[Drive] = []
-        self._pool = ThreadPoolExecutor(THREADS)
+        self._pool = ThreadPoolExecutor(FIT_THREADS)
         self.runs = 0
         try:
-            for _ in range(THREADS):
+            for _ in range(FIT_THREADS):
                 self._drives.append(Drive(fmu, ["u"], ["theta", "v"], names))
         except BaseException:
             self.close()
@@ -119,7 +119,7 @@ class LeanModel:
             steps = np.diff(out[:, :, 0], axis=1) / data.h
             return np.concatenate([steps[:, :1] if data.v_start else np.zeros((len(part), 1)), steps], axis=1)
 
-        parts = np.array_split(table, THREADS)
+        parts = np.array_split(table, FIT_THREADS)
         jobs = [self._pool.submit(job, drive, part) for drive, part in zip(self._drives, parts, strict=True) if len(part)]
         return np.concatenate([done.result() for done in jobs])
 
@@ -132,19 +132,19 @@ class LeanModel:
 def regression(data: Data, coulomb: bool = True) -> tuple[float, float, float]:
     """Return (a2, b, Fc) of v' = b u - a2 v - Fc sgn v by linear least squares on filtered signals, at speed.
 
-    It needs no start values, and gives them to the fits.
+    It needs no start values itself; its results are start values of the fits.
     """
     from scipy.signal import lfilter
 
-    pole = math.exp(-FILTER * data.h)
+    pole = math.exp(-REGRESSION_FILTER * data.h)
 
     def smooth(x: Array) -> Array:
         return np.asarray(lfilter([1 - pole], [1, -pole], x))
 
     v = smooth(data.y)
-    rate = FILTER * (data.y - v)
+    rate = REGRESSION_FILTER * (data.y - v)
     columns = [-v, smooth(data.u), *([-smooth(np.sign(data.y))] if coulomb else [])]
-    fast = np.abs(v) > GATE * float(np.sqrt(np.mean(v**2)))
+    fast = np.abs(v) > FAST_SHARE * float(np.sqrt(np.mean(v**2)))
     found, *_ = np.linalg.lstsq(np.column_stack(columns)[fast], rate[fast], rcond=None)
     a2, b = float(found[0]), float(found[1])
     return a2, b, float(found[2]) if coulomb else 0.0
@@ -153,19 +153,19 @@ def regression(data: Data, coulomb: bool = True) -> tuple[float, float, float]:
 def starts(model: str, data: Data) -> list[dict[str, float]]:
     """Return neutral start values: the regression's, and presliding distances over two decades.
 
-    The scale of the presliding distance 1/c is the distance between two reversals; nothing comes from a truth.
+    The scale of the presliding distance 1/c is the distance between two reversals; true values are not used.
     """
     a2, b, friction = regression(data, coulomb=model != "viscous")
     spread = float(np.std(data.y))
     b = b or 1.0
-    floor = 1e-3 * abs(b) * float(np.std(data.u))  # an acceleration that counts for nothing
+    floor = 1e-3 * abs(b) * float(np.std(data.u))  # rad/s2: a negligible acceleration
     a2, friction = max(a2, floor / max(spread, 1e-300)), max(friction, floor)
     base = {"b": b, "a2": a2}
     if model == "viscous":
         return [base]
     if model == "coulomb":
         return [base | {"coulomb.Fc": friction}]
-    reversals = max(1, int(np.sum(np.diff(np.sign(data.y[np.abs(data.y) > GATE * spread])) != 0)))
+    reversals = max(1, int(np.sum(np.diff(np.sign(data.y[np.abs(data.y) > FAST_SHARE * spread])) != 0)))
     distance = float(np.sum(np.abs(data.y))) * data.h / reversals
     return [
         base | {
@@ -176,8 +176,8 @@ def starts(model: str, data: Data) -> list[dict[str, float]]:
     ]  # fmt: skip
 
 
-class _GoodEnough(Exception):
-    """Raised out of the optimiser when nothing is left to explain."""
+class _Converged(Exception):
+    """Leaves the optimiser when the remaining cost is negligible."""
 
 
 class _Problem:
@@ -193,8 +193,8 @@ class _Problem:
         with np.errstate(divide="ignore", invalid="ignore"):
             least = np.log(np.maximum(low, 1e-300))
             most = np.log(high)
-        self.low = np.where(self.plain, low / self.unit, np.maximum(self.x0 - REACH, least))
-        self.high = np.where(self.plain, np.minimum(high / self.unit, math.exp(REACH)), np.minimum(self.x0 + REACH, most))
+        self.low = np.where(self.plain, low / self.unit, np.maximum(self.x0 - LOG_RANGE, least))
+        self.high = np.where(self.plain, np.minimum(high / self.unit, math.exp(LOG_RANGE)), np.minimum(self.x0 + LOG_RANGE, most))
         self.x0 = np.clip(self.x0, self.low + 1e-6, self.high - 1e-6)
         self.scale = float(np.std(data.y)) * math.sqrt(len(data.y))
         self.best: tuple[float, Array] = (math.inf, self.x0)
@@ -209,7 +209,7 @@ class _Problem:
         return np.asarray(self.unit * np.where(self.plain, x, np.exp(np.where(self.plain, 0.0, x))))
 
     def residuals(self, points: Array) -> Array:
-        """Return the errors at several points; a simulation that failed is very wrong everywhere."""
+        """Return the errors at several points; a simulation that failed gets a large error everywhere."""
         error = (self.model.predict(self.data, self.values(points)) - self.data.y) / self.scale
         return np.where(np.isfinite(error), error, 1e3 / math.sqrt(len(self.data.y)))
 
@@ -220,13 +220,13 @@ class _Problem:
         cost = float(error @ error)
         if cost < self.best[0]:
             self.best = (cost, x.copy())
-        if cost < NOTHING_LEFT:
-            raise _GoodEnough
+        if cost < NEGLIGIBLE_COST:
+            raise _Converged
         return np.asarray(error)
 
     def jacobian(self, x: Array) -> Array:
         """Return finite differences, all in one batch."""
-        direction = np.where(x + DIFFERENCE > self.high, -DIFFERENCE, DIFFERENCE)
+        direction = np.where(x + DIFFERENCE_STEP > self.high, -DIFFERENCE_STEP, DIFFERENCE_STEP)
         shifted = self.residuals(x + np.diag(direction))
         base = self._known[1] if self._known is not None and np.array_equal(self._known[0], x) else self.residual(x)
         return np.asarray(((shifted - base) / direction[:, None]).T)
@@ -235,7 +235,7 @@ class _Problem:
         """Return the lowest cost found and its point."""
         from scipy.optimize import least_squares
 
-        with contextlib.suppress(_GoodEnough):
+        with contextlib.suppress(_Converged):
             least_squares(
                 self.residual, self.x0, self.jacobian, bounds=(self.low, self.high), x_scale="jac",
                 max_nfev=evaluations, ftol=tolerance, xtol=1e-5, gtol=1e-12,
@@ -249,10 +249,10 @@ class _Problem:
 
 
 def fit(model: LeanModel, data: Data, candidates: Sequence[Mapping[str, float]] | None = None) -> Fit:
-    """Fit a lean model: all starts on the head of the record, the best on the whole of it."""
+    """Fit a lean model: all start values on the first part of the record, the best of them on the whole."""
     before = model.runs
     points = [dict(start) for start in (candidates if candidates is not None else starts(model.law, data))]
-    head = data.head(FIRST_STAGE)
+    head = data.head(FIRST_STAGE_SECONDS)
     if len(head.u) < len(data.u) and len(points) > 1:
         points = _distinct(sorted((_solve(model, head, start, 15, 1e-3) for start in points), key=lambda found: found[0]))
     best = min((_solve(model, data, start, 25, 1e-4) for start in points), key=lambda found: found[0])
@@ -270,10 +270,10 @@ def _solve(model: LeanModel, data: Data, start: Mapping[str, float], evaluations
 
 
 def _distinct(ranked: Sequence[Solved]) -> list[dict[str, float]]:
-    """Keep the best start, and the next one only if it went elsewhere at a comparable cost."""
+    """Keep the best result, and the next one only if it differs at a comparable cost."""
     kept = [ranked[0][1]]
     for cost, values, _ in ranked[1:]:
         apart = max(abs(values[n] - kept[0][n]) / (abs(kept[0][n]) + 1e-9) for n in values if n not in MAY_VANISH)
-        if len(kept) < SURVIVORS and apart > 0.05 and cost < 2 * ranked[0][0]:
+        if len(kept) < REFINED_STARTS and apart > 0.05 and cost < 2 * ranked[0][0]:
             kept.append(values)
     return kept

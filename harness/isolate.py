@@ -1,4 +1,4 @@
-"""A run in a process of its own, for FMUs of others: if one crashes, only that process dies."""
+"""Co-simulation in a process of its own, for FMUs from elsewhere: if one crashes, only that process ends."""
 
 from __future__ import annotations
 

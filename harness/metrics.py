@@ -1,4 +1,4 @@
-"""How far estimates are from the truth, and checks on the numbers; what is not a number never passes."""
+"""Errors of the estimates against the true values, and checks of result.json; a check of NaN fails."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from bristle.harness.scenario import Check
 
 Array = NDArray[np.float64]
 
-BAND = 5.0  # percent; settling is the last time the error exceeds it
-LOADED = ("Fc", "sigma0", "sigma1", "sigma2")  # true values that grow in proportion to the normal load
-LATE = 0.1  # the last part of a run, over which the late state errors are taken
+SETTLING_BAND = 5.0  # percent of the true value; settling is the last time the error exceeds it
+LOAD_PROPORTIONAL = ("Fc", "sigma0", "sigma1", "sigma2")  # true values that grow in proportion to the normal load
+LATE_ERROR_SHARE = 0.1  # share of the run, at its end, over which the late state errors are taken
 
 # What a check may demand: path in result.json -> (SI unit, meaning). PARAMETER, STATE and BASELINE stand for names.
 CHECK_QUANTITIES = {
@@ -68,7 +68,7 @@ def error_percent(estimate: Array, true: Array | float) -> Array:
         return np.asarray(100.0 * (estimate - true) / np.abs(true))
 
 
-def settling(time: Array, error: Array, band: float = BAND) -> float:
+def settling(time: Array, error: Array, band: float = SETTLING_BAND) -> float:
     """Return the last time |error| exceeds the band; 0 if it never does, not a number if it still does at the end."""
     outside = np.flatnonzero(~(np.abs(error) <= band))
     if not len(outside):
@@ -77,10 +77,10 @@ def settling(time: Array, error: Array, band: float = BAND) -> float:
 
 
 def estimate(time: Array, hat: Array, valid: Array, true: Array | None, unit: str) -> dict[str, Any]:
-    """Return the verdict on one parameter.
+    """Return final value, error and settling time of one parameter.
 
-    `true` belongs to the same rows as `hat`; a sample that is not valid or not finite counts as an error without
-    bound. `moved_percent` tells a live observer from a dead one: the largest excursion from the first value.
+    `true` belongs to the same rows as `hat`; a sample that is not valid or not finite counts as an infinite
+    error. `moved_percent` is the largest excursion from the first value: 0 of an observer that does not adapt.
     """
     sound = valid.astype(bool) & np.isfinite(hat)
     out: dict[str, Any] = {"unit": unit, "true": None, "final": _last(hat, sound), "valid": bool(sound[-1])}
@@ -118,7 +118,7 @@ def true_values(trace: Trace, load: Array | None = None) -> dict[str, Array]:
         if not found.get((unit, f"{name}_valid"), 0.0) or not math.isfinite(value):
             continue
         short = name.removeprefix("true.")
-        scale = load if load is not None and short in LOADED else np.ones(len(trace.values))
+        scale = load if load is not None and short in LOAD_PROPORTIONAL else np.ones(len(trace.values))
         out[short] = value * scale
     return out
 
@@ -130,7 +130,7 @@ def estimated_parameters(record: Sequence[Port], flags: Mapping[Port, float]) ->
 
 
 def estimates(trace: Trace, true: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Return the verdict on every parameter that the observer claims to estimate at the end, or ever has."""
+    """Return the errors of every parameter whose estimate was valid at some time."""
     out = {}
     for name in estimated_parameters(trace.record, trace.flags[-1][1]):
         hat, valid = trace[("observer", f"{name}_hat")], trace.flag(("observer", f"{name}_valid"))
@@ -149,7 +149,7 @@ def state_errors(trace: Trace, truth: Mapping[str, Array], units: Mapping[str, s
         if port not in trace or not np.isfinite(trace[port][-1]):
             continue
         error = (trace[port] - delayed(values))[1:]
-        late = error[-max(1, int(LATE * len(error))) :]
+        late = error[-max(1, int(LATE_ERROR_SHARE * len(error))) :]
         rms = {
             key: float(np.sqrt(np.mean(part**2))) if len(part) else math.nan for key, part in (("rms", error), ("late_rms", late))
         }

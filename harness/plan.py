@@ -14,8 +14,8 @@ from bristle.harness.scenario import Loaded, Part, Scenario
 
 Kind = Literal["native", "python"]
 
-# What the bus knows: variable -> SI unit. A part that lacks one of the `NEEDED` cannot take part.
-PORTS = {
+# Variables of the bus and their SI units; an FMU must have the `NEEDED_PORTS`.
+BUS_PORTS = {
     "plant": {
         "inputs": {"u": "V", "tau_load": "N.m", "load_scale": "1"},
         "outputs": {"theta": "rad", "v": "rad/s", "F": "N.m", "theta_enc": "rad", "v_enc": "rad/s"},
@@ -23,10 +23,10 @@ PORTS = {
     "controller": {"inputs": {"y_v": "rad/s"}, "outputs": {"u": "V", "reference": "rad/s"}},
     "observer": {"inputs": {"u": "V", "y_theta": "rad", "y_v": "rad/s"}, "outputs": {}},
 }
-NEEDED = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
-SENSOR = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}
-WHOLE = {"controller": ("seed", "order")}  # parameters that are counted, though an FMU of ours calls them real
-SELECTOR = {"plant": "law", "observer": "method"}
+NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
+SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}  # plant outputs: position, velocity
+WHOLE_PARAMETERS = {"controller": ("seed", "order")}  # Real parameters that only take whole values
+SELECTOR_PARAMETERS = {"plant": "law", "observer": "method"}  # parameter that chooses among several
 
 
 @dataclass(frozen=True)
@@ -52,17 +52,17 @@ class Setup:
     @property
     def sensor(self) -> tuple[str, str]:
         """The plant outputs that the observer gets: position, velocity."""
-        return SENSOR[self.scenario.sensor]
+        return SENSOR_OUTPUTS[self.scenario.sensor]
 
     def ports(self, unit: str) -> tuple[Port, ...]:
         """Return what is recorded of a unit at every step."""
         fmu = self.fmus[unit]
-        known = PORTS[unit]["outputs"]
+        known = BUS_PORTS[unit]["outputs"]
         return tuple((unit, name) for name in fmu.names("output") if fmu.is_real(name) and (unit == "observer" or name in known))
 
 
 def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, Fmu]:
-    """Return the FMUs a scenario needs, built where they are ours and not yet there."""
+    """Return the FMUs a scenario needs, building those of bristle that are not in the cache."""
     from bristle.fmus import obtain
 
     scenario = loaded.scenario
@@ -85,8 +85,8 @@ def _foreign(loaded: Loaded, name: str, file: str) -> Fmu:
         fmu = Fmu(loaded.beside(file), foreign=True)
     except BristleError as error:
         raise loaded.error(f"{name}.fmu", file, str(error)) from None
-    sides = PORTS[name]
-    for needed in NEEDED[name]:
+    sides = BUS_PORTS[name]
+    for needed in NEEDED_PORTS[name]:
         side = "input" if needed in sides["inputs"] else "output"
         if not fmu.has(needed, side) or not fmu.is_real(needed):
             have = ", ".join(fmu.names(side)) or "none"
@@ -124,7 +124,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[str, Value]:
     """Return the start values of a part: its choice of law or method, the sampling period, the user's parameters."""
     values: dict[str, Value] = {}
-    selector = SELECTOR.get(name, "")
+    selector = SELECTOR_PARAMETERS.get(name, "")
     choice = getattr(part, selector, None)
     if choice is not None:
         choices = fmu.choices(selector)
@@ -141,7 +141,7 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[s
             values[key] = fmu.parameter(key, given, own)
         except BristleError as error:
             raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
-        if key in WHOLE.get(name, ()) and values[key] != int(values[key]):
+        if key in WHOLE_PARAMETERS.get(name, ()) and values[key] != int(values[key]):
             raise loaded.error(f"{name}.parameters.{key}", given, "must be a whole number")
         owner = key.partition(".")[0]
         if owner != key and owner in others:
@@ -153,7 +153,7 @@ def _check_sensors(setup: Setup) -> None:
     plant, scenario = setup.fmus["plant"], setup.scenario
     for key in ("sensor", "controller_sensor"):
         choice = getattr(scenario, key)
-        for output in SENSOR[choice]:
+        for output in SENSOR_OUTPUTS[choice]:
             if not plant.has(output, "output"):
                 raise setup.loaded.error(key, choice, f"the plant has no output '{output}'; write {key} = \"clean\"")
     if not any(setup.fmus["observer"].has(name, "input") for name in ("y_theta", "y_v")):
@@ -164,7 +164,7 @@ def _events(setup: Setup) -> tuple[tuple[int, Port, float], ...]:
     """Return the stimuli as events: a value set at t is on the bus from the first step that starts at t or later."""
     events = []
     plant = setup.fmus["plant"]
-    allowed = [name for name in PORTS["plant"]["inputs"] if plant.has(name, "input")]
+    allowed = [name for name in BUS_PORTS["plant"]["inputs"] if plant.has(name, "input")]
     for i, stimulus in enumerate(setup.scenario.stimuli):
         name = stimulus.variable
         if name in [earlier.variable for earlier in setup.scenario.stimuli[:i]]:
@@ -200,7 +200,7 @@ def _instances(setup: Setup, names: tuple[str, ...]) -> tuple[Instance, ...]:
 
 
 def _loop_links(setup: Setup) -> list[tuple[Port, Port]]:
-    speed = SENSOR[setup.scenario.controller_sensor][1]
+    speed = SENSOR_OUTPUTS[setup.scenario.controller_sensor][1]
     return [(("plant", speed), ("controller", "y_v")), (("controller", "u"), ("plant", "u"))]
 
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from bristle.common.errors import BristleError
 from bristle.common.output import complain, write_file
 
-OURS = {".json", ".csv", ".html", ".svg"}  # what a result folder consists of
-ROWS = 2000  # of the thinned signals.csv
+RESULT_SUFFIXES = {".json", ".csv", ".html", ".svg"}  # of the files in a result folder
+THINNED_ROWS = 2000  # rows of signals.csv unless it is written at full rate
 
 
 def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
     """Return signals.csv: first column time, numbers only (nan where there is none); thinned unless `full`."""
     rows = len(next(iter(columns.values())))
-    kept = np.arange(rows) if full else np.unique(np.linspace(0, rows - 1, min(rows, ROWS)).round().astype(int))
+    kept = np.arange(rows) if full else np.unique(np.linspace(0, rows - 1, min(rows, THINNED_ROWS)).round().astype(int))
     table = np.column_stack([column[kept] for column in columns.values()])
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(columns)
@@ -31,12 +31,12 @@ def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
 
 
 def refuse_strange(target: Path) -> None:
-    """Refuse to replace anything but a result folder: one that is empty or holds a result.json and only files like ours."""
+    """Refuse to replace anything but a result folder: one that is empty or holds a result.json and only files of such kinds."""
     if not target.exists() and not target.is_symlink():
         return
     ours = target.is_dir() and not target.is_symlink()
     if ours and (inside := list(target.iterdir())):
-        ours = (target / "result.json").is_file() and all(p.is_file() and p.suffix in OURS for p in inside)
+        ours = (target / "result.json").is_file() and all(p.is_file() and p.suffix in RESULT_SUFFIXES for p in inside)
     if not ours:
         raise BristleError(f"{target}: exists and is no result folder of bristle; choose another --out or rename the scenario")
 

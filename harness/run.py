@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 from bristle.common.output import output_folder, plain, to_json
 from bristle.fmus.host import Fmu
 from bristle.harness import metrics, results
+from bristle.harness.fit import Data
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import Bus, Trace, simulate
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
 from bristle.harness.plan import validation as validation_bus
 from bristle.harness.scenario import Loaded, load
-from bristle.harness.validation import Validation, identification_data, identified_model, lean_fmus, told, validate
+from bristle.harness.validation import Validation, given_parameters, identification_data, identified_model, lean_fmus, validate
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
 
-LATE_FRICTION = 0.25  # the part of the run that the friction curve shows
+LATE_FRICTION = 0.25  # share of the run, at its end, that the friction curve shows
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Run:
 
 @dataclass
 class _Clock:
-    """Where the time goes."""
+    """Seconds spent in each stage of a run."""
 
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -86,7 +87,7 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
 
 
 def _run(loaded: Loaded, out: Path, options: Options, tell: Progress) -> Run:
-    """Run what has been read, into a folder that can be written."""
+    """Run a scenario that is read and checked, into a folder that can be written."""
     clock = _Clock()
     with clock.stage("FMUs (built only if new)"):
         tell("building FMUs", 0, 0)
@@ -113,7 +114,7 @@ def _run(loaded: Loaded, out: Path, options: Options, tell: Progress) -> Run:
 
 
 def _load_drawing() -> None:
-    """Import what the report needs while the compiled loop runs, which does not need the interpreter."""
+    """Import what the report needs while the compiled loop runs, which releases the interpreter."""
     import matplotlib.backends.backend_svg
     import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
 
@@ -206,11 +207,12 @@ def _validate(setup: Setup, result: Mapping[str, Any], view: _View, fmus: Mappin
         failure = second.failure
         what = f"the second record ended at {failure.time:g} s: {failure.unit}: {failure.message}"
         raise setup.loaded.error("validation", None, f"{what}; change validation.seed or validation.duration")
-    identified = identified_model(result["estimates"], told(setup, setup.values["observer"]), fmus)
+    identified = identified_model(result["estimates"], given_parameters(setup, setup.values["observer"]), fmus)
     demand = setup.scenario.validation
     assert demand is not None
     data = identification_data(setup, view.signals["u"], view.sensed["theta"], view.sensed["v"])
-    return validate(data, second.time, second["plant", "v"], second["controller", "u"], identified, fmus, demand.baselines)
+    other = Data(second["controller", "u"], second["plant", "v"], second.h)
+    return validate(data, other, identified, fmus, demand.baselines)
 
 
 def _judge(result: dict[str, Any], setup: Setup) -> None:

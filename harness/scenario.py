@@ -1,4 +1,4 @@
-"""Scenario files: the TOML schema, overrides, and every mistake as one line with file, key, value and what to do."""
+"""Scenario files: TOML schema, overrides, and error lines that name file, key, value and what to do."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from bristle.common.toml import InUnit, Section, first_mistake, mistake, read_to
 from bristle.common.units import quantity
 from bristle.records.layout import ColumnTable, LayoutTable
 
-MAX_STEPS = 5_000_000  # a run keeps every step in memory
-PARTS = ("plant", "controller", "observer")
+LONGEST_RUN = 5_000_000  # steps of a run, all of which are kept in memory
+PARAMETER_PARTS = ("plant", "controller", "observer")  # parts of a scenario that have parameters
 
 
 def _seconds(given: object) -> float:
@@ -35,7 +35,7 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Part(Section):
-    """An FMU on the bus: built by bristle, or a file of somebody else's."""
+    """An FMU on the bus: built by bristle, or a file."""
 
     fmu: str | None = None
     """Path of an FMU, relative to the scenario file, in place of one that is built."""
@@ -44,7 +44,7 @@ class Part(Section):
 
 
 class Plant(Part):
-    """The servo: a friction law of ours, or an FMU with inputs u (tau_load, load_scale) and outputs theta, v."""
+    """The servo: a friction law of bristle, or an FMU with inputs u (tau_load, load_scale) and outputs theta, v."""
 
     law: str | None = None
     """Friction law of the plant that is built."""
@@ -55,7 +55,7 @@ class Controller(Part):
 
 
 class Observer(Part):
-    """The adaptive observer: a method of ours, or an FMU with inputs u, y_theta, y_v and outputs P_hat, P_valid."""
+    """The adaptive observer: a method of bristle, or an FMU with inputs u, y_theta, y_v and outputs P_hat, P_valid."""
 
     method: str | None = None
     """Method of the observer that is built."""
@@ -185,8 +185,8 @@ def _steps(key: str, duration: float, step: float) -> None:
     count = duration / step
     if count < 1 or abs(count - round(count)) > 1e-6 * count:
         raise ValueError(f"{key} = {duration:g} s is not a whole number of steps of {step:g} s; change one of them")
-    if count > MAX_STEPS:
-        raise ValueError(f"{key} = {duration:g} s is {count:.0f} steps; allowed are {MAX_STEPS}: shorten it or lengthen step")
+    if count > LONGEST_RUN:
+        raise ValueError(f"{key} = {duration:g} s is {count:.0f} steps; allowed are {LONGEST_RUN}: shorten it or lengthen step")
 
 
 # -- reading ---------------------------------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         One line that names file, key, value and what is allowed.
     """
     text, tree = read_toml(path, "scenario file")
-    for part in PARTS:
+    for part in PARAMETER_PARTS:
         _flatten_parameters(tree, part)
     for override in overrides:
         _override(tree, override)
@@ -309,7 +309,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
     keys = [quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|([^."]+)', path.strip())]
     if not separator or not keys:
         raise BristleError(f'--set {override}: not path=value; write for example --set plant.parameters.J="0.002 kg.m2"')
-    if len(keys) > 2 and keys[0] in PARTS and keys[1] == "parameters":
+    if len(keys) > 2 and keys[0] in PARAMETER_PARTS and keys[1] == "parameters":
         keys = [*keys[:2], ".".join(keys[2:])]
     node: Any = tree
     for depth, key in enumerate(keys):

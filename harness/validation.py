@@ -17,7 +17,7 @@ from bristle.harness.plan import Setup
 Array = NDArray[np.float64]
 
 # What each lean model (with J = 1 kg.m2) needs to know: its parameter -> the observer's estimate.
-MODELS = {
+MODEL_PARAMETERS = {
     "modified": {
         "b": "b", "a2": "alpha2", "modified.sigma0": "sigma0", "modified.sigma1": "sigma1", "modified.sigma2": "sigma2",
         "modified.c": "c", "modified.tau": "tau",
@@ -25,8 +25,8 @@ MODELS = {
     "coulomb": {"b": "b", "a2": "alpha2", "coulomb.Fc": "Fc"},
     "viscous": {"b": "b", "a2": "alpha2"},
 }  # fmt: skip
-OPTIONAL = ("tau",)  # taken as 0 where the observer does not estimate it
-BASELINES = {"linear": "viscous", "coulomb": "coulomb", "floor": "modified"}
+ZERO_IF_UNKNOWN = ("tau",)  # estimates that count as 0 where the observer has none
+BASELINES = {"linear": "viscous", "coulomb": "coulomb", "floor": "modified"}  # name of each baseline: law that is fitted
 
 
 @dataclass
@@ -81,11 +81,11 @@ def _ratio(above: float, below: float) -> float:
 def identified_model(estimates: Mapping[str, Mapping[str, Any]], known: Mapping[str, float], fmus: Mapping[str, Fmu]) -> Identified:
     """Choose the richest lean model that the estimates at the end determine.
 
-    `known` are parameters the observer was told instead of estimating them (alpha2, b of a step 2 alone).
+    `known` are parameters that the observer is given instead of estimating them (alpha2, b of a step 2 alone).
     """
     have = dict(known) | {name: e["final"] for name, e in estimates.items() if e["valid"] and math.isfinite(e["final"])}
-    for law, names in MODELS.items():
-        missing = [name for name in names.values() if name not in have and name not in OPTIONAL]
+    for law, names in MODEL_PARAMETERS.items():
+        missing = [name for name in names.values() if name not in have and name not in ZERO_IF_UNKNOWN]
         if missing:
             continue
         values = {parameter: have.get(name, 0.0) for parameter, name in names.items()}
@@ -99,7 +99,7 @@ def identified_model(estimates: Mapping[str, Mapping[str, Any]], known: Mapping[
     return Identified(None, {}, "the estimates at the end do not determine a model (alpha2 and b are needed at least)")
 
 
-def told(setup: Setup, final: Mapping[str, Value]) -> dict[str, float]:
+def given_parameters(setup: Setup, final: Mapping[str, Value]) -> dict[str, float]:
     """Return the alpha2 and b that the observer's method has as parameters."""
     observer, method = setup.fmus["observer"], setup.scenario.observer.method
     out = {}
@@ -111,35 +111,27 @@ def told(setup: Setup, final: Mapping[str, Value]) -> dict[str, float]:
 
 
 def identification_data(setup: Setup, u: Array, theta: Array, v: Array) -> Data:
-    """Return the identification record as the observer had it: velocity, or position through its increments."""
+    """Return the identification record as the observer read it: velocity, or position through its increments."""
     increments = setup.samples.measured == ("theta",) if setup.samples else setup.scenario.sensor == "encoder"
     return Data(u, v, setup.h, increments, v_start=float(v[0]) if setup.samples else 0.0)
 
 
 def lean_fmus() -> dict[str, Fmu]:
-    """Return the lean plant FMUs, native: they are tools here, whatever kind is under test."""
+    """Return the lean plant FMUs, native ones, whatever kind the scenario runs."""
     from bristle.fmus import obtain
 
-    return {law: Fmu(obtain("plant", law=law)) for law in MODELS}
+    return {law: Fmu(obtain("plant", law=law)) for law in MODEL_PARAMETERS}
 
 
-def validate(
-    identification: Data,
-    time: Array,
-    measured: Array,
-    voltage: Array,
-    identified: Identified,
-    fmus: Mapping[str, Fmu],
-    baselines: bool,
-) -> Validation:
+def validate(identification: Data, second: Data, identified: Identified, fmus: Mapping[str, Fmu], baselines: bool) -> Validation:
     """Fit the baselines to the identification record and score all models on the second one.
 
     Parameters
     ----------
     identification : Data
         The record the observer ran on.
-    time, measured, voltage : ndarray
-        The second record: plant velocity and what drove it.
+    second : Data
+        The record on which the models are compared: voltage and velocity of the plant.
     identified : Identified
         The observer's model.
     fmus : mapping of str to Fmu
@@ -147,14 +139,13 @@ def validate(
     baselines : bool
         Whether to fit baselines and floor.
     """
-    second = Data(voltage, measured, identification.h)
     wanted: dict[str, list[str]] = {}
     for name, law in BASELINES.items():
         if baselines:
             wanted.setdefault(law, []).append(name)
     if identified.law is not None and identified.problem is None:
         wanted.setdefault(identified.law, []).append("model")
-    result = Validation(time, measured, voltage, {}, identified, {}, {"model": math.nan})
+    result = Validation(np.arange(len(second.y)) * second.h, second.y, second.u, {}, identified, {}, {"model": math.nan})
     for law, names in wanted.items():
         with LeanModel(law, fmus[law]) as model:
             for name in names:

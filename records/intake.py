@@ -48,7 +48,8 @@ class Requirements:
         Range of the sampling period [s].
     identification : bool
         Whether the record is to identify a servo: its output must move and the input of one record at least, spikes and wraps
-        of the sensor are repaired, a gap cuts the record. Else the samples stay as recorded, and a gap is refused.
+        of the sensor are repaired, a late start of the time is
+        subtracted, a gap cuts the record. Else the samples stay as recorded, and a gap is refused.
     """
 
     samples: int = 10
@@ -204,12 +205,8 @@ def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[R
             if all(map(_same, raw.columns, columns)):
                 raise raw.error(f"is the same as {other}; a copy is no second measurement: leave it out")
         before[raw.where] = raw.columns
-        begin = float(raw.time[0])
-        if origin is None or (not origin and abs(begin) > EPOCH_START):
-            origin = begin if abs(begin) > LATE_START else 0.0
-        if origin and abs(begin) > LATE_START:
-            raw.time = raw.time - origin
-            raw.say(f"time starts at {begin:.6g} s; counted from the first record's first sample")
+        if needs.identification:
+            origin = _count_from_first(raw, origin)
         records += _pieces(layout, raw, needs)
     if not records:
         raise BristleError("no record is given; give at least one")
@@ -218,6 +215,17 @@ def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[R
         records = [_report_constant_input(layout, record) for record in records]
     records = one_rate(records)
     return report_steps(layout, records) if needs.identification else records
+
+
+def _count_from_first(raw: Raw, origin: float | None) -> float:
+    """Count a time that starts late from the first sample of the first such record; return that sample's time, or 0."""
+    begin = float(raw.time[0])
+    if origin is None or (not origin and abs(begin) > EPOCH_START):
+        origin = begin if abs(begin) > LATE_START else 0.0
+    if origin and abs(begin) > LATE_START:
+        raw.time = raw.time - origin
+        raw.say(f"time starts at {begin:.6g} s; counted from the first record's first sample")
+    return origin
 
 
 def _same(one: Array, other: Array) -> bool:

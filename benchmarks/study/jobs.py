@@ -14,7 +14,7 @@ from standard_records import LOAD_CHANGE_TIME, RECORD_STEP, TRUE_PARAMETERS, cha
 
 from bristle.common.errors import SimulationError
 from bristle.harness.fit import Data, regression
-from bristle.harness.metrics import BAND, LOADED, error_percent, mse_percent, settling
+from bristle.harness.metrics import LOAD_PROPORTIONAL, SETTLING_BAND, error_percent, mse_percent, settling
 from bristle.model.native import Native
 from bristle.model.variables import Parameter
 from bristle.observer import methods, observer_program
@@ -242,7 +242,7 @@ def after_a_change(plant: str, order: int, seed: int) -> Json:
     """Return for each method how long it takes to be within 5 % again after the normal load has doubled at 60 s."""
     data = changed(plant, order, seed)
     out: Json = {}
-    true = {name: 2.0 * value if name in LOADED else value for name, value in TRUE_PARAMETERS[plant].items()}
+    true = {name: 2.0 * value if name in LOAD_PROPORTIONAL else value for name, value in TRUE_PARAMETERS[plant].items()}
     for method in estimators():
         rows, valid, failure = observed(method, data, "encoder", {})
         _, error = errors(method, rows, valid, true)
@@ -261,6 +261,6 @@ def from_spread_starts(plant: str, order: int, seed: int, runs: int) -> Json:
         for _ in range(runs):
             rows, _, failure = observed(method, data, "encoder", spread_starts(method, plant, random))
             names, error = errors(method, rows, np.ones_like(rows), TRUE_PARAMETERS[plant])
-            failed += failure is not None or not names or not bool((np.abs(error[-1]) <= BAND).all())
+            failed += failure is not None or not names or not bool((np.abs(error[-1]) <= SETTLING_BAND).all())
         out[method] = {"runs": runs, "failed": failed}
     return out

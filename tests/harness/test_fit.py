@@ -9,7 +9,7 @@ from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
 from bristle.harness.fit import Data, LeanModel, fit, regression, starts
 from bristle.harness.loop import Bus, Instance, simulate
-from bristle.harness.validation import MODELS, identified_model, lean_fmus, validate
+from bristle.harness.validation import MODEL_PARAMETERS, identified_model, lean_fmus, validate
 
 H = 1e-3
 SET_R = {
@@ -93,7 +93,7 @@ def test_validation_ranks_model_floor_and_baselines() -> None:
     estimates = {name: {"final": value, "valid": True} for name, value in finals.items()}
     identified = identified_model(estimates, {}, fmus)
     assert identified.law == "modified"
-    result = validate(Data(u, v, H), np.arange(len(u2)) * H, v2, u2, identified, fmus, baselines=True)
+    result = validate(Data(u, v, H), Data(u2, v2, H), identified, fmus, baselines=True)
     scores = result.scores
     assert scores["floor"] < scores["model"] < scores["coulomb"] < scores["linear"]
     found = result.as_dict(seed=2)
@@ -120,5 +120,5 @@ def test_a_model_needs_enough_valid_estimates() -> None:
 
 def test_the_models_know_their_fmus() -> None:
     for law, fmu in lean_fmus().items():
-        for parameter in MODELS[law]:
+        for parameter in MODEL_PARAMETERS[law]:
             assert fmu.has(parameter, "parameter")
