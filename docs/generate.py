@@ -14,7 +14,7 @@ from schema import key_tables
 
 from bristle.diagnosis.modelfile import ModelTable
 from bristle.harness.metrics import CHECK_QUANTITIES
-from bristle.harness.plan import PORTS
+from bristle.harness.plan import BUS_PORTS
 from bristle.harness.scenario import Scenario
 from bristle.model.variables import Parameter
 from bristle.observer import methods
@@ -124,7 +124,7 @@ example is in [diagnosis.md](diagnosis.md), the parameters of each friction law 
 
 def scenario_page() -> str:
     """Return docs/scenario_reference.md."""
-    inputs = PORTS["plant"]["inputs"]
+    inputs = BUS_PORTS["plant"]["inputs"]
     choices = {("Plant", "law"): list(laws()), ("Observer", "method"): list(methods()), ("Stimulus", "variable"): list(inputs)}
     text = [SCENARIO_HEAD, *key_tables(Scenario, choices), "## Stimuli", ""]
     text += ["Inputs of the plant that `[[stimuli]]` may change. `u` takes the place of the controller.", "", "| variable | unit |"]
