@@ -71,10 +71,12 @@ class Stimulus(Section):
 
 
 class Record(LayoutTable):
-    """A measured file in place of plant and controller; `velocity` is one that was recorded besides the position."""
+    """A measured file in place of plant and controller."""
 
     file: str
+    """Path of the file (CSV, MAT, NPZ or Parquet), relative to the scenario file."""
     velocity: ColumnTable | None = None
+    """Column of a velocity that was measured besides the position; without it, the position is differentiated."""
 
 
 class Validation(Section):

@@ -145,7 +145,9 @@ def validate(identification: Data, second: Data, identified: Identified, fmus: M
             wanted.setdefault(law, []).append(name)
     if identified.law is not None and identified.problem is None:
         wanted.setdefault(identified.law, []).append("model")
-    result = Validation(np.arange(len(second.y)) * second.h, second.y, second.u, {}, identified, {}, {"model": math.nan})
+    result = Validation(
+        np.asarray(np.arange(len(second.y)) * second.h), second.y, second.u, {}, identified, {}, {"model": math.nan}
+    )
     for law, names in wanted.items():
         with LeanModel(law, fmus[law]) as model:
             for name in names:

@@ -16,32 +16,41 @@ INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}  #
 
 # -- what a file may hold ----------------------------------------------------------------------------------------------
 class ColumnTable(Section):
-    """A column with its unit; `scale` (such as "0.088 deg") is what one of that unit is worth, where it is no plain unit."""
+    """A column of the file and its unit."""
 
     column: str
+    """Name of the column."""
     unit: str
+    """Unit of its values; "1" for counts."""
     scale: str | None = None
+    """What one of that unit is worth where the unit does not fit, such as `0.088 deg`."""
 
 
 class InputTable(ColumnTable):
     """The column of the input."""
 
     kind: Literal["torque", "force", "voltage", "current"]
+    """What the input is; observers read a voltage."""
 
 
 class OutputTable(ColumnTable):
-    """The column of the output; `resolution` is in the column's unit, or text with a unit."""
+    """The column of the output."""
 
     kind: Literal["position", "velocity"]
+    """What the output is."""
     resolution: str | float | None = None
+    """Smallest step of the output, in the column's unit or with a unit."""
 
 
 class LayoutTable(Section):
     """The three tables [time], [input] and [output]."""
 
     time: ColumnTable
+    """Column of the time."""
     input: InputTable
+    """Column of the input, held from each sample to the next."""
     output: OutputTable
+    """Column of the output."""
 
 
 # -- the layout --------------------------------------------------------------------------------------------------------
