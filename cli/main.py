@@ -249,7 +249,7 @@ def diagnose(
     out: Annotated[Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model")],
     model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml")] = None,
     fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu")] = None,
-    choose: Annotated[str | None, typer.Option(help="effect to add when effects of several classes tie", metavar="NAME")] = None,
+    choose: Annotated[str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME")] = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
     debug: DebugOption = False,
 ) -> None:
@@ -269,7 +269,7 @@ def diagnose(
             write(found, out, choose, fmi=int(fmi.value))
         except BristleError as error:
             problem = error
-    _summary(found, choose if problem is None else None)  # what took so long to find is said even where it cannot be written
+    _summary(found, choose if problem is None else None)  # the answer is printed even if it cannot be written
     if problem is None or isinstance(problem, IncompleteError):
         print(f"{found.verdict}  {out / 'report.html'}", flush=True)
     if problem is not None:
@@ -298,16 +298,19 @@ def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell:
 
 
 def _summary(found: Diagnosis, chosen: str | None = None) -> None:
-    """Print the answer: the sentences, and the effects with their parameters; `chosen` is in the augmented model."""
-    from bristle.diagnosis.report.text import plain_texts
+    """Print the answer in sentences, what to measure next, findings on the records, and the parameters of the effects."""
+    from bristle.diagnosis.report.text import effect_name, plain_texts
 
     text = "\n".join(found.statement)
     for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
         print(line)
-    choice = [f"to have the model with one of these effects, give --choose: {', '.join(found.choices)}"] if found.choices else []
+    if found.experiment:
+        print(f"What to measure next: {found.experiment}")
     if chosen is not None:
-        choice = [f"the augmented model has '{chosen}', as chosen"]
-    for line in (*([found.experiment] if found.experiment else []), *choice, *found.findings):
+        print(f"The augmented model has {effect_name(chosen)}, as chosen.")
+    elif found.choices:
+        print(f"For a model with one of these effects, give --choose: {', '.join(found.choices)}")
+    for line in found.findings:
         print(f"  - {line}")
     rows = [("effect", "parameter", "value", "95 % interval", "unit")]
     for effect in found.effects:

@@ -57,7 +57,7 @@ def row(out: Path, answers: list[Any], every: int, way: str) -> str:
     false, right, wrong = (sum(map(bool, each)) for each in (
         [j.named for j in controls], [j.right for j in singles], [j.extra for j in singles],
     ))  # fmt: skip
-    said = sum(any("between the samples" in line for line in j.result.get("findings", ())) for j in judged)
+    said = sum(j.result.get("excitation", {}).get("input_between_samples") == "changing" for j in judged)
     figures = f"{false} of {len(controls)} | {right} of {len(singles)} | {wrong} of {len(singles)} | {said} of {len(judged)}"
     return f"| {1000 / every:.3g} Hz | {way} | {figures} |"
 

@@ -69,6 +69,7 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         "input_range": {"lowest": float(np.min(u)), "highest": float(np.max(u)), "unit": model.input_unit},
         "input_rms": _with(model.input_unit, float(np.sqrt(np.mean(u**2)))),
         "input_bandwidth": _with("Hz", band),
+        "input_between_samples": "changing" if any(record.ahead for record in records) else "held",
         "speed_range": {"lowest": float(np.min(v)), "highest": float(np.max(v)), "unit": f"{length}/s"},
         "speed_dominant_tone_share": tone,
         "speed_rms": _with(f"{length}/s", float(np.sqrt(np.mean(v**2)))),

@@ -1,4 +1,4 @@
-"""The residual torque drawn over a view."""
+"""The residual torque as a function of a view, for figures."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from bristle.diagnosis.localisation.views import clocks, hats
 
 Array = NDArray[np.float64]
 
-MAP_PHASES, SELDOM_SHARE = 20, 0.1  # of one period that is drawn; share of the usual number of samples below which none is
+MAP_PHASES = 20  # points of one period that is drawn
+MIN_PHASE_SAMPLES = 0.1  # samples at a phase, over their mean number, below which it is not drawn
+MIN_BIN_SAMPLES = 5  # samples in a bin below which it is not drawn
 
 
 def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 40) -> dict[str, Any]:
-    """Return the residual torques (samples,) averaged in bins of a view: fields of `result.View`, none where it has no axis."""
+    """Return the residual torques (samples,) averaged in bins of a view: fields of `View`, empty if it is not drawn."""
     found = _axis(view, m)
     if found is None:
         return {}
@@ -34,10 +36,10 @@ def residual_map(view: str, m: Motion, before: Array, after: Array, bins: int = 
 
 
 def wave_map(view: str, m: Motion, before: ResidualResponse, after: ResidualResponse, period: float | None) -> dict[str, Any]:
-    """Return the torque that repeats with a period [unit of the axis], over one of them: fields of `result.View`.
+    """Return the torque that repeats with a period [unit of the axis], over one of them: fields of `View`.
 
-    None where it does not repeat, or where the torque along the whole axis explains more. It is fitted through the response, for
-    averages of the most likely torque are lower than what acts: a wave that is passed in a moment hardly shows in them.
+    Empty where it is not periodic, or where a torque along the whole axis explains more. It is fitted through the response:
+    averages of the most likely torque are lower than the torque itself, the more so the faster a wave is passed.
     """
     found = _axis(view, m)
     if found is None or period is None or np.ptp(found[0]) <= period:
@@ -47,7 +49,7 @@ def wave_map(view: str, m: Motion, before: ResidualResponse, after: ResidualResp
     table = np.column_stack([np.interp(x, knots[:-1], row, period=period) for row in np.eye(MAP_PHASES)])
     waves, whole = (np.column_stack([g[:, None] * each for g in groups]) for each in (table, hats(x, MAP_PHASES)))
     curves, gain = before.regress(waves)
-    if view == "tone" and len(groups) > 1:  # of clocks of their own the one in which it is largest
+    if view == "tone" and len(groups) > 1:  # of records with their own clock, that with the largest
         largest = int(np.argmax(np.ptp(curves.reshape(-1, MAP_PHASES), axis=1)))
         groups, names = [groups[largest]], names[largest : largest + 1]
         waves = groups[0][:, None] * table
@@ -56,14 +58,15 @@ def wave_map(view: str, m: Motion, before: ResidualResponse, after: ResidualResp
         return {}
     seen = m.moving @ waves
     lines = [
-        np.where(seen > SELDOM_SHARE * seen.mean(), c, np.nan).reshape(-1, MAP_PHASES) for c in (curves, after.regress(waves)[0])
+        np.where(seen > MIN_PHASE_SAMPLES * seen.mean(), c, np.nan).reshape(-1, MAP_PHASES)
+        for c in (curves, after.regress(waves)[0])
     ]
     first, second = (np.column_stack([each, each[:, 0]]) for each in lines)
     return {"centres": knots, "before": first, "after": second, "lines": names, "period": period}
 
 
 def _axis(view: str, m: Motion) -> tuple[Array, list[NDArray[np.bool_]], tuple[str, ...]] | None:
-    """Return along what a view is drawn, the samples of each line, and the names of the lines."""
+    """Return the variable that a view is drawn over, the samples of each line, and the names of the lines."""
     if view == "tone":
         clock = clocks(m)
         numbers = np.unique(clock)
@@ -71,7 +74,7 @@ def _axis(view: str, m: Motion) -> tuple[Array, list[NDArray[np.bool_]], tuple[s
         return m.time, [clock == k for k in numbers], names
     along, _, side = view.partition(" x ")
     x = {"v": m.v, "a": m.a, "u": m.u, "t": m.time, "theta": m.theta}.get(along)
-    if x is None:  # travel, rates and single stretches have no axis of their own here
+    if x is None:  # travel, rates and outlier segments are not drawn
         return None
     way = {"direction": m.v, "v": m.v, "u": m.u, "a": m.a}.get(side)
     if way is None:
@@ -83,4 +86,4 @@ def _averages(place: NDArray[np.int_], values: Array, mask: NDArray[np.bool_], b
     inside = mask & (place >= 0) & (place < bins)
     count = np.bincount(place[inside], minlength=bins)
     total = np.bincount(place[inside], weights=values[inside], minlength=bins)
-    return np.where(count >= 5, total / np.maximum(count, 1), np.nan)
+    return np.where(count >= MIN_BIN_SAMPLES, total / np.maximum(count, 1), np.nan)

@@ -38,10 +38,10 @@ OUTLIERS = "some stretches"  # name of their view, in diagnosis.json too
 
 
 def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Return frequencies (k,) [Hz] within `TONE_BAND` and what gives a torque's amplitudes (k,) there for signs (segments,).
+    """Return frequencies (k,) [Hz] within `TONE_BAND`, and a function: signs (segments,) -> amplitudes (k,) of the torque there.
 
-    Parameters: time and rough torque (segments, bins), the clock of each segment. What has another clock has another phase:
-    its power is added.
+    Parameters: time and torque, averaged by bins (segments, bins), the clock of each segment. The powers of segments with
+    different clocks are added, because their phases are unrelated.
     """
     step = float(np.median(np.diff(time, axis=1)))
     which, row = np.unique(clock, return_inverse=True)
@@ -61,7 +61,7 @@ def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array,
 
 
 def _searched(response: ResidualResponse, m: Motion, rough: Array, wording: Wording) -> dict[str, tuple[Array, dict[str, Any]]]:
-    """Return waves whose frequency is chosen by the residual: in time and along the position, and what a `Share` says of them."""
+    """Return waves with the frequency that fits the residual best, in time and along the position, with fields of a `Share`."""
     middle = _middle(response, rough)
     r, theta = rough.ravel(), m.theta[middle]
     clock = clocks(m)
@@ -74,7 +74,7 @@ def _searched(response: ResidualResponse, m: Motion, rough: Array, wording: Word
     turns = np.arange(1.0, MOST_PERIODS + 1)
     spin = np.exp(-1j * np.outer(turns, theta))
     one, way = np.ones_like(m.u), np.sign(m.v)
-    for view, factors in (  # inertia that varies with position shows in both acceleration and speed squared
+    for view, factors in (  # an inertia that varies with the position acts by both acceleration and squared speed
         ("theta", (one,)), ("theta x direction", (way,)), ("theta x u", (m.u,)), ("theta x a", (m.a, m.v**2)),
     ):  # fmt: skip
         power = np.sum([np.abs(spin @ (r * f[middle])) ** 2 / max(float(f @ f), 1e-300) for f in factors], axis=0)
@@ -91,11 +91,11 @@ def _middle(response: ResidualResponse, rough: Array) -> NDArray[np.int_]:
 
 
 def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: Array, wording: Wording = ROTARY) -> list[Share]:
-    """Return the views with their shares, the strongest first; stretches that stand out come last.
+    """Return the views with their shares, the largest first; outlier segments come last.
 
-    A view's function is fitted on four fifths of the segments, and its p is how often the strongest of all views
-    predicts the rest as well when segments get random signs. A tone must stand out as well among the highest lines of such
-    spectra, for its frequency was chosen. The share is the power that a view has in the output.
+    A view's function is fitted on four fifths of the segments; its p is how often the strongest of all views predicts the rest
+    as well when segments get random signs. A tone is compared with the highest lines of such spectra too, because its
+    frequency was chosen. The share is the power of the view's function in the output.
 
     Source: liu1988 (wild bootstrap).
     """
@@ -122,8 +122,8 @@ def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: 
 def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> float:
     """Return how often the highest line of a spectrum is as high when segments get random signs; the first are the true ones.
 
-    Each draw finds its own frequency, as the data did. Where that is often it is known early, and the other draws are
-    saved. Parameters as of `spectrum`; signs (draws, segments).
+    Each draw has its own frequency, as the data had. Draws end early where the p is large. Parameters as of `spectrum`; signs
+    (draws, segments).
 
     Source: besag1991 (sequential Monte Carlo p-values).
     """
@@ -137,9 +137,9 @@ def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> 
 
 
 def _outlier_share(response: ResidualResponse, m: Motion, live: NDArray[np.int_]) -> Share:
-    """Return the share of the squared error in stretches that are off by far more than the rest.
+    """Return the share of the squared error in outlier segments.
 
-    Its p is the chance of so many of them, if the misfits of segments have the heavy tail that the fit allows them.
+    Its p is the probability of so many, with the heavy-tailed distribution that the fit assumes for the misfit of a segment.
     """
     misfit = np.square(response.rest[live]).mean(axis=1)
     far = misfit > OUTLIER_MISFIT
@@ -153,9 +153,9 @@ def _outlier_share(response: ResidualResponse, m: Motion, live: NDArray[np.int_]
 
 
 def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_], signs: Array) -> tuple[Array, float]:
-    """Return for each set of signs by how much the weighted square of held-out segments falls, and a power.
+    """Return for each set of signs by how much the weighted square of left-out segments falls, and a power.
 
-    The power is the mean square [output squared] of what the view's function does to the output, less what chance adds.
+    The power is the mean square [output squared] of what the view's function does to the output, less what chance contributes.
     """
     columns = response.free_of_model(response.through(basis))[live]
     weight, rest = response.weight[live], response.rest[live]
@@ -191,7 +191,7 @@ def _localised(fitted: FittedModel, dataset: Dataset) -> tuple[list[Share], Arra
 
 
 def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:
-    """Return what each view predicts of a fitted servo's residual."""
+    """Return what each view predicts of a fitted model's residual."""
     return _localised(fitted, dataset)[0]
 
 

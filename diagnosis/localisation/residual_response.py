@@ -14,7 +14,15 @@ Array = NDArray[np.float64]
 
 
 class ResidualResponse:
-    """Linear response of the judged segments to torques, start states and the model's own parameters taken out."""
+    """Linear response of the residual to a torque, with what initial states and the model's own parameters could do projected out.
+
+    Attributes
+    ----------
+    rest : ndarray, shape (segments, bins)
+        Whitened residual, free of the initial states.
+    weight : ndarray, shape (segments,)
+        Weight of each segment.
+    """
 
     def __init__(self, problem: Problem, fit: Fit, moving: NDArray[np.bool_], inertia: float, damping: float) -> None:
         segments = fit.simulator.segments
@@ -33,14 +41,14 @@ class ResidualResponse:
         self._own = np.linalg.pinv(own, rcond=1e-12)
 
     def plain(self, columns: Array, which: NDArray[np.int_]) -> Array:
-        """Return whitened columns (segments, bins, k) of some segments as averages [output], start states at their best."""
+        """Return whitened columns (segments, bins, k) of some segments as averages [output], with optimal initial states."""
         back = np.einsum("nl,slk->snk", self._cover, columns, optimize=True)
         return np.asarray(back - self._starts[which] @ (np.linalg.pinv(self._starts[which]) @ back))
 
     def through(self, torques: Array) -> Array:
-        """Return what torques (samples, k) [N.m] do to the whitened averages (segments, bins, k), start states free.
+        """Return what torques (samples, k) [N.m] do to the whitened averages (segments, bins, k), free of the initial states.
 
-        While the servo is at rest, friction takes the torque: it does nothing.
+        At rest friction balances the torque, so it does nothing.
         """
         held = (torques * self._moving[:, None]).reshape(*self.shape, -1)
         return self.freed(np.matmul(self._seen, held))
@@ -71,19 +79,19 @@ class ResidualResponse:
 
 
 def response_of(fitted: FittedModel, dataset: Dataset) -> ResidualResponse:
-    """Return the response of a fitted servo."""
+    """Return the response of a fitted model."""
     return ResidualResponse(fitted.problem, fitted.fit, dataset.motion.moving, fitted.fit.values["J"], fitted.fit.values["a2"])
 
 
 def chance(draws: Array, seen: float) -> float:
-    """Return the p of what was seen among draws (replicates,) by chance, the seen one counted as one of them."""
+    """Return the p of an observed value among draws (replicates,) by chance, the observed one counted as one of them."""
     return float((1 + np.count_nonzero(draws >= seen)) / (1 + len(draws)))
 
 
 def directions(columns: Array, weight: Array) -> Array:
     """Return columns (segments, bins, k) made orthonormal in the weighted scalar product; what is dependent is dropped.
 
-    Segments without weight are 0: what shows in those alone has no size here.
+    Segments without weight are set to 0.
     """
     columns = np.where(weight[:, None, None] > 0, columns, 0.0)
     normal = np.einsum("s,snk,snl->kl", weight, columns, columns, optimize=True)

@@ -14,18 +14,32 @@ from bristle.diagnosis.estimation.dataset import Motion
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
-VIEW_KNOTS = 9
-CLOCK_SPAN = 3.0  # times what they last in all: records of one clock that lie over a longer time lie far apart
-PATH_POINTS = 5000  # of the path, for them
-PERIOD_TOLERANCE, FORM_HARMONICS = 0.03, (2, 3, 4)  # periods that count as equal; multiples that are the form of a wave
-HYSTERESIS_ELEMENTS = 5  # widths of elastic elements that make up a hysteresis
+
+VIEW_KNOTS = 9  # knots of a piecewise linear function of a view
+CLOCK_SPAN = 3.0  # span of records over their total duration, beyond which a tone's phase cannot be followed between them
+PATH_POINTS = 5000  # points of the path that hysteresis elements follow, about
+PERIOD_TOLERANCE = 0.03  # relative difference up to which two numbers of periods count as equal
+FORM_HARMONICS = (2, 3, 4)  # multiples of a wave's periods that count as its form
+HYSTERESIS_ELEMENTS = 5  # elastic elements of different widths that make up a hysteresis
+MIN_WIDTH_STEPS, MIN_TRAVEL_STEPS = 4, 40  # narrowest element and least travel, in steps of the sensor
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a view predicts: share of the squared error that falls, its p over all views and alone, and a label.
+    """What a view predicts of a residual.
 
-    `periods`: of the wave along the position that was found in it [1/turn]; `frequency`: of one in time [Hz].
+    Attributes
+    ----------
+    view : str
+        Its name: the variables that the residual is taken for a function of.
+    share : float
+        Share of the residual's power in the output.
+    p, alone : float
+        Probability that chance predicts as much in any view, and in this one alone.
+    label : str
+        What was found in it, such as "7 in a turn".
+    periods, frequency : float, optional
+        Of the wave that was found: along the position [1/turn], or in time [Hz].
     """
 
     view: str
@@ -37,7 +51,7 @@ class Share:
     frequency: float | None = None
 
     def period(self, turn: float) -> float | None:
-        """Return the length of the wave that was found in it, in the unit of `turn` or in seconds; None without a wave."""
+        """Return the length of the wave that was found, in the unit of `turn` or in seconds; None without a wave."""
         if self.frequency is not None:
             return 1 / self.frequency
         return None if self.periods is None else turn / self.periods
@@ -45,12 +59,20 @@ class Share:
 
 @dataclass(frozen=True)
 class View:
-    """Share of the residual's power in the output that is predictable from a view, before and after, each with its p.
+    """What a view predicts of the residual before and after the named effects were added.
 
-    `label` says what was found in it, such as "7 in a turn"; `before` and `after`, shape (lines, bins), are
-    residual torques [N.m; N on a linear axis] in the bins of `centres` (bins,) [SI]; the `lines` have names, such as forward
-    and backward for views with a direction. Shares are of 1. With a `period` [unit of the axis] its periods are laid over
-    each other.
+    Attributes
+    ----------
+    share, share_after, p, p_after, label : float, float, float, float, str
+        As of `Share`.
+    centres : ndarray, shape (bins,)
+        Values of the variable [SI] at which the residual is drawn.
+    before, after : ndarray, shape (lines, bins)
+        Residual torque there [N.m; N on a linear axis].
+    lines : tuple of str
+        Names of the lines, such as forward and backward for a view with a direction.
+    period : float, optional
+        Length of one period, if that is what is drawn [unit of the variable].
     """
 
     view: str
@@ -60,7 +82,7 @@ class View:
     p_after: float
     label: str = ""
     centres: Array = field(default_factory=lambda: np.empty(0))
-    before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins)
+    before: Array = field(default_factory=lambda: np.empty(0))
     after: Array = field(default_factory=lambda: np.empty(0))
     lines: tuple[str, ...] = ()
     period: float | None = None
@@ -74,12 +96,12 @@ def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | N
 
 
 def is_same(periods: float | None, wave: float) -> bool:
-    """True if something repeats as a wave does, both along the same path."""
+    """True if two waves along the same path have the same number of periods; None is no wave."""
     return periods is not None and abs(periods / wave - 1) < PERIOD_TOLERANCE
 
 
 def is_form(periods: float | None, wave: float) -> bool:
-    """True if something repeats as a small multiple of a wave: what the wave's own form may have beside a sine."""
+    """True if the number of periods is a small multiple of a wave's, so that it may be a harmonic of its form."""
     return periods is not None and any(is_same(periods, k * wave) for k in FORM_HARMONICS)
 
 
@@ -92,10 +114,10 @@ def hats(x: Array, knots: int = VIEW_KNOTS) -> Array:
     return np.column_stack([np.interp(inside, at, np.eye(len(at))[i]) for i in range(len(at))])
 
 
-def stops(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
-    """Return elastic elements (n, widths) that slide beyond a deflection, scaled to -1..1.
+def hysteresis(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
+    """Return the deflections (n, widths) of elastic elements that slide beyond a width, scaled to -1..1.
 
-    Some thousand points of the path say enough; between them the elements stand still.
+    They are computed at some thousand points of the path and held between them.
 
     Source: albender2005 (hysteresis as parallel elasto-slide elements).
     """
@@ -119,7 +141,7 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
     way = np.sign(m.v)[:, None]
     du = np.diff(m.u, prepend=m.u[0]) / h
     turn = np.column_stack([harmonics(m.theta, 3), hats(m.theta)])
-    widths = np.geomspace(4 * step, max(0.2 * np.ptp(m.theta), 40 * step), HYSTERESIS_ELEMENTS)
+    widths = np.geomspace(MIN_WIDTH_STEPS * step, max(0.2 * np.ptp(m.theta), MIN_TRAVEL_STEPS * step), HYSTERESIS_ELEMENTS)
     span = np.column_stack([np.ones_like(m.u), m.u, np.abs(m.u)])
     return {
         "v": hats(m.v, 13),
@@ -133,15 +155,15 @@ def bases(m: Motion, h: float, step: float) -> dict[str, Array]:
         "t x v": m.v[:, None] * hats(m.time),
         "u x direction": way * np.column_stack([span, hats(np.abs(m.u))]),
         "v x u": m.v[:, None] * np.column_stack([span, hats(np.abs(m.u), 5)]),
-        "history": stops(m.theta, m.record, widths),
+        "history": hysteresis(m.theta, m.record, widths),
     }
 
 
 def clocks(m: Motion) -> NDArray[np.int_]:
     """Return for each sample (n,) the number of its clock: 0 where the records share one, else that of its record.
 
-    They do not if their times overlap, as those of files that each begin at 0 do; and how a tone goes on from one to the next
-    nobody can tell where they lie far apart.
+    They do not if their times overlap, as those of files that each begin at 0 do, or if they are so far apart that the phase
+    of a tone cannot be followed from one to the next.
     """
     ends = sorted((float(t[0]), float(t[-1])) for t in (m.time[m.record == k] for k in range(int(m.record.max()) + 1)))
     apart = all(before[1] < after[0] for before, after in pairwise(ends))

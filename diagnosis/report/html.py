@@ -29,7 +29,8 @@ from bristle.plant.effects import effects as all_effects
 BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
 VERDICTS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
 EXCITATION = {  # key of the excitation -> words; the others read as they are
-    "input_range": "input", "speed_dominant_tone_share": "share of the strongest tone in the speed",
+    "input_range": "input", "input_between_samples": "input between samples",
+    "speed_dominant_tone_share": "share of the strongest tone in the speed",
     "input_bandwidth": "bandwidth of the input", "speed_range": "speed",
     "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
     "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",

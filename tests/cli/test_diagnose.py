@@ -86,8 +86,8 @@ def test_it_says_what_it_found_and_where_the_report_is(call: Call, asked: dict[s
     row = next(line for line in lines if "amplitude " in line)
     assert row.split() == ["cogging", "amplitude", "0.0600", "0.0582", "...", "0.0618", "N.m"]
     made = asked["made"].CASES["named"]()
-    for line in (made.experiment, *made.findings):
-        assert f"  - {line}" in lines
+    assert f"What to measure next: {made.experiment}" in lines
+    assert all(f"  - {line}" in lines for line in made.findings)
     assert lines[-1] == f"named  {tmp_path / 'out' / 'report.html'}"
     assert sorted(os.listdir(tmp_path / "out")) == sorted(export.WRITTEN_FILES)
 

@@ -43,6 +43,12 @@ def test_numbers_of_a_sine(model):
     json.dumps(found, allow_nan=False)
 
 
+def test_an_input_that_changes_between_the_samples_is_a_field(model):
+    [record] = records_from_arrays(model, [("run", *swing())])
+    assert excitation(model, [record])["input_between_samples"] == "held"
+    assert excitation(model, [record, replace(record, ahead=0.25)])["input_between_samples"] == "changing"
+
+
 def test_caveats_of_a_sine(model):
     found = described(model, *swing())
     for words in ("hardly ever at rest", "less than half a turn", "one dominant frequency", "below 5 Hz", "input bandwidth"):

@@ -10,7 +10,7 @@ import pytest
 from bristle.diagnosis.localisation.maps import residual_map, wave_map
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS, SIGN_DRAWS, shares
 from bristle.diagnosis.localisation.residual_response import response_of
-from bristle.diagnosis.localisation.views import clocks, hats, stops
+from bristle.diagnosis.localisation.views import clocks, hats, hysteresis
 
 SHARE = 0.6
 MADE = {  # a torque that follows a view, of the motion and the time t
@@ -98,7 +98,7 @@ def test_hats_add_up_to_one_and_follow_any_broken_line():
 def test_a_stop_is_elastic_then_slides_and_knows_no_other_record():
     theta = np.concatenate([np.linspace(0, 1, 11), np.linspace(1, 0.7, 4)[1:], [50.0, 50.05]])
     record = np.array([0] * 14 + [1] * 2)
-    found = stops(theta, record, np.array([0.25]))[:, 0]
+    found = hysteresis(theta, record, np.array([0.25]))[:, 0]
     np.testing.assert_allclose(found[:4], [0.0, 0.4, 0.8, 1.0])
     assert np.all(found[3:11] == 1.0)
     np.testing.assert_allclose(found[11:14], [0.6, 0.2, -0.2], atol=1e-12)
