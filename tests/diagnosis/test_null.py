@@ -1,17 +1,19 @@
-"""The null: as often as it says, chance reaches a gain, where the distribution is known in closed form."""
+"""The null distribution of the largest gain, against closed forms and direct draws of noise."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import beta, chi2
 
 from bristle.diagnosis.localisation.residual_response import directions
 from bristle.diagnosis.selection.null_distribution import (
     FALSE_ALARM_RATE,
     REPLICATES,
     SCORE_CLIP,
-    USUAL_QUANTILE,
+    TYPICAL_QUANTILE,
     Null,
     largest_gain,
 )
@@ -34,7 +36,7 @@ def gains_of(banks, rest, weight):
 @pytest.mark.parametrize("sizes", [(1,), (3,), (2, 2, 2), (1, 2, 3, 4)])
 def test_the_level_is_that_of_the_closed_form(sizes):
     """Twice the gain of k white directions is chi2 with k degrees; the largest is that above what each usually reaches."""
-    usual = [chi2.ppf(USUAL_QUANTILE, k) / 2 for k in sizes]
+    usual = [chi2.ppf(TYPICAL_QUANTILE, k) / 2 for k in sizes]
     above = np.linspace(0.0, 40.0, 4000)
     below = np.prod([chi2.cdf(2 * (above + q), k) for k, q in zip(sizes, usual, strict=True)], axis=0)
     exact = float(np.interp(1 - FALSE_ALARM_RATE, below, above)) + usual[-1]
@@ -60,6 +62,42 @@ def test_p_is_as_often_small_as_it_says():
         assert abs(np.mean(np.array(ps) <= share) - share) < 3 * np.sqrt(share * (1 - share) / len(ps)) + 0.01
 
 
+DECLARED = 0.002  # false alarms per search: as declared in the docs; not imported, so that a change of the code's rate fails
+NULLS, SEARCHES_PER_NULL = 40, 600
+
+
+def excesses(seed):
+    """The null of one record of noise, and the largest excess of any candidate over its level in searches of others."""
+    rng, weight = np.random.default_rng(seed), np.ones(SEGMENTS)
+    banks = banks_of(rng, (1, 2, 3, 4), weight)
+    null = largest_gain(banks, rng.standard_normal((SEGMENTS, BINS)), weight)
+    whole = np.concatenate([bank for [bank] in banks.values()], axis=2).reshape(SEGMENTS * BINS, -1)
+    scores = rng.standard_normal((SEARCHES_PER_NULL, SEGMENTS * BINS)) @ whole
+    ends = np.cumsum([bank.shape[2] for [bank] in banks.values()])[:-1]
+    gains = [0.5 * np.square(part).sum(axis=1) for part in np.split(scores, ends, axis=1)]
+    return null, dict(zip(banks, gains, strict=True))
+
+
+@pytest.fixture(scope="module")
+def searches():
+    return [excesses(seed) for seed in range(NULLS)]
+
+
+@pytest.mark.parametrize(("rate", "level", "as_declared"), [
+    (1.0, 1.0, True), (10.0, 1.0, False), (0.1, 1.0, False), (1.0, 10.0, False), (1.0, 0.5, False),
+])  # fmt: skip
+def test_searches_of_noise_give_as_many_false_alarms_as_declared(searches, rate, level, as_declared):
+    """The share of searches with some candidate above its level; a rate or level that is off by such a factor is detected."""
+    alarms = 0
+    for null, gains in searches:
+        used = replace(null, false_alarm_rate=rate * null.false_alarm_rate)
+        alarms += np.count_nonzero(np.any([gain > level * used.level(name) for name, gain in gains.items()], axis=0))
+    count = NULLS * SEARCHES_PER_NULL
+    low = beta.ppf(0.005, alarms, count - alarms + 1) if alarms else 0.0  # Clopper-Pearson, 99 %
+    high = beta.ppf(0.995, alarms + 1, count - alarms)
+    assert bool(low <= DECLARED <= high) is as_declared, f"{alarms} of {count}"
+
+
 def test_segments_may_differ_in_spread():
     """Where few segments are loud, the direct distribution is wider than chi2 of the mean; the bootstrap follows it."""
     rng, weight = np.random.default_rng(6), np.ones(SEGMENTS)
@@ -69,7 +107,7 @@ def test_segments_may_differ_in_spread():
     rests = loud * rng.standard_normal((4020, SEGMENTS, BINS))
     direct = np.quantile([gains_of(banks, rest, weight)["one"] for rest in rests[20:]], 0.99)
     nulls = [largest_gain(banks, rest, weight) for rest in rests[:20]]
-    levels = [np.quantile(null.draws, 0.99) + null.usual["one"] for null in nulls]
+    levels = [np.quantile(null.draws, 0.99) + null.typical["one"] for null in nulls]
     assert np.mean(levels) == pytest.approx(direct, rel=0.15)
     assert direct > 1.2 * chi2.ppf(0.99, 2) / 2 * np.mean(rests**2)
 
