@@ -7,10 +7,12 @@ from bristle.diagnosis.fmu.workflow import diagnose_fmu
 from bristle.diagnosis.modelfile import Model, load_model
 from bristle.diagnosis.report.export import write
 from bristle.diagnosis.report.result import Diagnosis
+from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.workflow import diagnose
 from bristle.records.record import Record
 
 __all__ = [
-    "BristleError", "Diagnosis", "Model", "Record", "diagnose", "diagnose_fmu", "fmu_model", "load_model", "load_records",
+    "BristleError", "Diagnosis", "Model", "Record", "SearchOptions", "diagnose", "diagnose_fmu",
+    "fmu_model", "load_model", "load_records",
     "records_from_arrays", "write",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, 
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.report.text import Facts, experiment, statement, undetected
-from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.candidates import Assessment, Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.effect_size import fall
@@ -38,7 +38,7 @@ def conclude(
     dataset: Dataset,
     base: FittedModel,
     final: FittedModel,
-    rounds: list[SearchRound],
+    rounds: Sequence[SearchRound],
     begun: float,
 ) -> answer.Diagnosis:
     """Return the answer, parameters and intervals refitted to all segments; `begun` is when the work began [s]."""
@@ -95,6 +95,7 @@ def conclude(
         traces=_traces(dataset, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,
+        input_share=next((r.ahead for r in records if r.ahead), None),
         choices={n: {k.removeprefix(f"{n}."): v for k, v in e.items() if k.startswith(f"{n}.")} for n, e in choices.items()},
         choice_parameters={n: {k: v for k, v in e.items() if not k.startswith(f"{n}.")} for n, e in choices.items()},
     )
@@ -128,7 +129,7 @@ def unidentified_parameters(plain: Mapping[str, answer.Estimate]) -> tuple[str, 
 
 def undecided_names(verdict: SearchRound) -> tuple[str, ...]:
     """Return the members of a tie that was not resolved, or what was withdrawn."""
-    open_ = verdict.best and not verdict.named and (verdict.ties or verdict.withdrawn)
+    open_ = verdict.best and not verdict.named and (verdict.ties or verdict.outcome == "withdrawn")
     return tuple(sorted({verdict.best.name, *verdict.ties})) if verdict.best and open_ else ()
 
 
@@ -151,7 +152,7 @@ def unnamed(last: SearchRound, narrow: str, left: Unexplained, mute: Sequence[st
     if not classes:
         return "not_identifiable" if mute or (narrow and (left.flag or last.best)) else "none"
     many = MOST_TIED_UNIFORM if narrow else MOST_TIED
-    return "tie" if len(classes) <= many and not last.withdrawn else "not_identifiable"
+    return "tie" if len(classes) <= many and last.outcome != "withdrawn" else "not_identifiable"
 
 
 def _traces(dataset: Dataset, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
@@ -213,9 +214,17 @@ def _round(v: SearchRound) -> answer.Round:
     bars = []
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else math.nan
-        tested = () if c.test is None else (c.test.fall, c.test.kept, *c.test.behind)
-        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.refused, *tested))
+        tested = () if c.assessment is None else _figures(c.assessment)
+        bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.reason, *tested))
     bars.sort(key=lambda bar: math.inf if math.isnan(bar.gain) else -bar.gain)
-    added = v.best.name if v.best and v.named else None
-    top = v.best.name if v.best else bars[0].name if bars else ""
-    return answer.Round(tuple(bars), v.null.level(top), v.null.p(top, v.gain), added, v.decision, v.gain, v.size, v.finer)
+    best = v.best.name if v.best else None
+    top = best or (bars[0].name if bars else "")
+    return answer.Round(
+        tuple(bars), v.null.level(top), v.null.p(top, v.gain), best if v.named else None, v.decision, v.gain,
+        v.assessment.error_reduction, v.finer_gain, best if v.outcome in ("rejected", "withdrawn") else None,
+    )  # fmt: skip
+
+
+def _figures(assessment: Assessment) -> tuple[float, float, float, float]:
+    """Return size, kept, behind and doubt of a candidate in a report."""
+    return (assessment.error_reduction, assessment.held_out_gain, *assessment.deficit)

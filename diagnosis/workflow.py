@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.excitation import excitation
-from bristle.diagnosis.checks.input_hold import NotHeldError, fed
+from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
 from bristle.diagnosis.conclusion import conclude, fall_between, gap_between
@@ -23,14 +23,17 @@ from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, 
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.selection.stepwise import Tell, search
+from bristle.diagnosis.selection.start_values import Progress, SearchOptions
+from bristle.diagnosis.selection.stepwise import SearchOutcome, search
 from bristle.records.clock import must_agree
 from bristle.records.record import Record
 
 MAKES_UP = "Effects explain these records, but they only make up for bounds that are too tight."
 
 
-def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = None) -> answer.Diagnosis:
+def diagnose(
+    model: Model, records: Sequence[Record], progress: Progress | None = None, options: SearchOptions | None = None
+) -> answer.Diagnosis:
     """Find where a model and records disagree, and name what is missing.
 
     Parameters
@@ -41,6 +44,8 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
         From `load_records` or `records_from_arrays`; two or more are better than one.
     progress : function, optional
         Called with a text and the fraction done.
+    options : SearchOptions, optional
+        Of the search; its progress is told to `progress`.
 
     Returns
     -------
@@ -54,39 +59,33 @@ def diagnose(model: Model, records: Sequence[Record], progress: Tell | None = No
         cannot be simulated.
     """
     must_be(model, records)
-    tell = teller(progress)
-    return retried(lambda given, begun: _diagnosed(model, given, tell, begun), records)
+    tell, started = teller(progress), time.perf_counter()
+    with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
+        while True:
+            said, dataset = check(model, records), dataset_of(model, records)
+            if said.proposals:
+                gap = nominal_gap(dataset, *base_servo_of(model, dataset))
+                return mend_first(model, records, said, gap, time.perf_counter() - started)
+            tell("base refit", 0.0)
+            dataset, base, lines = prepare_model(model, records, dataset)
+            outcome = search(dataset, base, reporting(options or SearchOptions(), tell))
+            if outcome.input_share is None:
+                break
+            records = with_input_share(records, outcome.input_share)
+        found = examine(model, records, dataset, base, outcome, tell, started)
+    return replace(found, findings=(*found.findings, *lines, *said.findings))
 
 
-def teller(progress: Tell | None) -> Tell:
+def reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
+    """Return the options of a search that reports its progress as a part of the whole diagnosis."""
+    return replace(options, progress=lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
+
+
+def teller(progress: Progress | None) -> Progress:
     """Return what progress is told to, if anybody; raise `BristleError` if that is no function."""
     if not (progress is None or callable(progress)):
         raise BristleError(f"progress is a {type(progress).__name__}; give a function of a text and the fraction done, or None")
     return progress or (lambda text, fraction: None)
-
-
-def retried(work: Callable[[Sequence[Record], float], answer.Diagnosis], records: Sequence[Record]) -> answer.Diagnosis:
-    """Return what a diagnosis of records gives, begun at a time [s]; once more if their input was not held.
-
-    On matrices this small several threads of the linear algebra only wait for each other, and sum in another order.
-    """
-    begun = time.perf_counter()
-    with threadpool_limits(1, user_api="blas"):
-        try:
-            return work(records, begun)
-        except NotHeldError as found:
-            return work(fed(records, found), begun)
-
-
-def _diagnosed(model: Model, records: Sequence[Record], tell: Tell, begun: float) -> answer.Diagnosis:
-    said = check(model, records)
-    dataset = dataset_of(model, records)
-    if said.proposals:
-        return mend_first(model, records, said, nominal_gap(dataset, *base_servo_of(model, dataset)), time.perf_counter() - begun)
-    tell("base refit", 0.0)
-    dataset, base, lines = prepare_model(model, records, dataset)
-    found = examine(model, records, dataset, base, tell, begun)
-    return replace(found, findings=(*found.findings, *lines, *said.findings))
 
 
 def must_be(model: Model, records: Sequence[Record]) -> None:
@@ -119,12 +118,18 @@ def mend_first(
 
 
 def examine(
-    model: Model, records: Sequence[Record], dataset: Dataset, base: FittedModel, tell: Tell, begun: float
+    model: Model,
+    records: Sequence[Record],
+    dataset: Dataset,
+    base: FittedModel,
+    outcome: SearchOutcome,
+    tell: Progress,
+    begun: float,
 ) -> answer.Diagnosis:
     """Search on top of a fitted model, and say what was found; `begun` is when the work began [s, `time.perf_counter`]."""
-    final, rounds = search(dataset, base, lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
+    final, rounds = outcome.final, outcome.rounds
     if final.servo.effects != base.servo.effects and (line := better_unbound(model, dataset, base, final)):
-        given = replace(rounds[0], named=False, withdrawn=True, decision="it only makes up for bounds")
+        given = replace(rounds[0], outcome="withdrawn", decision="it only makes up for bounds")
         found = conclude(model, records, dataset, base, base, [given], begun)
         return replace(
             found, verdict="not_identifiable", statement=(f"{MAKES_UP} Proposed: {line}.",),
@@ -134,7 +139,7 @@ def examine(
     tell("what remains", 0.85)
     if dataset.poor_excitation and final is not base and _in_part(model, dataset, base, final):
         why = f"'{rounds[0].best.name if rounds[0].best else ''}' closes the gap only in part: too poor records to name it"
-        final, rounds = base, [replace(rounds[0], named=False, withdrawn=True, decision=why)]
+        final, rounds = base, (replace(rounds[0], outcome="withdrawn", decision=why),)
     return conclude(model, records, dataset, base, final, rounds, begun)
 
 

@@ -15,13 +15,10 @@ import os
 import shutil
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import run  # sets the threads, before numpy
 from page import put
 from score import Judged
-
-from bristle.diagnosis.selection import stepwise as search
 
 SEED, SCALE = "slow, second", 0.02
 EVERY = (4, 16)
@@ -41,13 +38,9 @@ def thinned(case: Path, every: int, folder: Path) -> Path:
 
 
 def diagnose_slow(case: Path, every: int, way: str, target: Path) -> None:
-    """Diagnose a thinned case; `way` held: as if nobody asked whether the input was."""
+    """Diagnose a thinned case; `way` held: without testing whether the input was."""
     folder = thinned(case, every, target.parent / "records" / f"{target.stem}")
-    if way == "found":
-        run.diagnose_one(folder, target)
-        return
-    with patch.object(search, "must_be_held", lambda dataset, fitted: None):
-        run.diagnose_one(folder, target)
+    run.diagnose_one(folder, target, {"test_input_hold": way == "found"})
 
 
 def row(out: Path, answers: list[Any], every: int, way: str) -> str:

@@ -14,55 +14,30 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import run  # sets the threads, before numpy
 from refused import GROUPS, STANDS, label, standings, stood
 from score import Judged
 
-from bristle.diagnosis.selection import candidates
-from bristle.diagnosis.selection import stepwise as search
-
 TARGET = Path(__file__).resolve().parents[1] / "results" / "oracle_search.md"
 NOWHERE = 1e5  # beyond this a parameter of an answer means that there is none, such as a stop on one side only
 
 
-@contextmanager
-def told(answer: Any) -> Iterator[None]:
-    """Let the search know an answer."""
+def known_answer(answer: Any) -> dict[str, Any]:
+    """Return the search options with which the answer of a case is among the start values, and its effects are tried longest."""
     truth = {
         effect["name"]: {name: value for name, value in effect["parameters"].items() if value is not None and abs(value) < NOWHERE}
         for effect in answer["effects"]
     }
-    starts, explore, advance = candidates.start_values, candidates.evaluate_starts, candidates.advance_candidate
-
-    def known(name: str, e: Any) -> list[dict[str, float]]:
-        return [*([truth[name]] if truth.get(name) else []), *starts(name, e)]
-
-    def patient(function: Callable[..., Any], name: Callable[..., str]) -> Callable[..., Any]:
-        def call(*arguments: Any) -> Any:
-            *others, effort = arguments
-            return function(*others, candidates.EXHAUSTIVE if name(*arguments) in truth else effort)
-
-        return call
-
-    with (
-        patch.object(candidates, "starts", known),
-        patch.object(search, "starts", known),
-        patch.object(search, "explore", patient(explore, lambda _problem, _servo, name, *_: name)),
-        patch.object(search, "advance", patient(advance, lambda candidate, *_: candidate.name)),
-    ):
-        yield
+    return {"start_values": {name: [values] for name, values in truth.items() if values}, "exhaustive": tuple(truth)}
 
 
 def diagnose_told(folder: Path, answer: Any, target: Path) -> None:
     """Diagnose one case with its answer known."""
-    with told(answer):
-        run.diagnose_one(folder, target)
+    run.diagnose_one(folder, target, known_answer(answer))
 
 
 def missed(out: Path) -> list[tuple[Any, Any]]:

@@ -41,7 +41,7 @@ def refused(pairs: Iterable[tuple[Any, Any]]) -> Iterator[tuple[bool, tuple[floa
         if answer["group"] not in GROUPS or not judged.named or len(rounds) < 2 or rounds[-1]["added"]:
             continue
         last = rounds[-1]
-        leader = next((c for c in last["candidates"] if last["decision"].startswith(f"'{c['name']}'")), None)
+        leader = next((c for c in last["candidates"] if c["name"] == last["rejected"]), None)
         if leader is not None and leader["kept"] is not None:
             figures = last["gain"] / last["null_level"], last["gain"] / rounds[0]["gain"], last["size"], leader["kept"]
             yield class_of(leader["name"]) in judged.missed, figures
@@ -60,7 +60,7 @@ def stood(judged: Judged) -> str:
     if last["added"]:
         return "no round left"
     found = [c for c in last["candidates"] if class_of(c["name"]) in missing and c["gain"] is not None]
-    if any(last["decision"].startswith(f"'{c['name']}'") for c in found):
+    if last["rejected"] in {c["name"] for c in found}:
         return "led and refused"
     return "behind another" if any(c["gain"] > c["level"] for c in found) else "not beyond chance"
 

@@ -17,7 +17,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -48,14 +48,18 @@ def generate_one(commit: str, spec: Spec, out: Path) -> None:
     write(draw(commit, spec), out)
 
 
-def diagnose_one(folder: Path, target: Path) -> None:
-    """Diagnose one case as a user would and write the result; a failure is a result too. Its time is that of one core."""
+def diagnose_one(folder: Path, target: Path, search: Mapping[str, Any] | None = None) -> None:
+    """Diagnose one case as a user would and write the result; a failure is a result too. Its time is that of one core.
+
+    `search` holds fields of `SearchOptions` that are not the default.
+    """
     begun = time.process_time()
     try:
-        from bristle.diagnosis import diagnose, load_model, load_records
+        from bristle.diagnosis import SearchOptions, diagnose, load_model, load_records
 
         model = load_model(folder / "model.toml")
-        result = diagnose(model, load_records(model, [folder / "a.npz", folder / "b.npz"])).to_dict()
+        records = load_records(model, [folder / "a.npz", folder / "b.npz"])
+        result = diagnose(model, records, options=SearchOptions(**(search or {}))).to_dict()
     except ImportError:
         raise
     except Exception as error:

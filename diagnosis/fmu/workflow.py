@@ -14,9 +14,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from bristle.common.errors import BristleError, RestartError
 from bristle.diagnosis.checks.excitation import excitation
+from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
@@ -28,8 +30,9 @@ from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.selection.stepwise import Tell
-from bristle.diagnosis.workflow import examine, mend_first, must_be, retried, teller
+from bristle.diagnosis.selection.start_values import Progress, SearchOptions
+from bristle.diagnosis.selection.stepwise import search
+from bristle.diagnosis.workflow import examine, mend_first, must_be, reporting, teller
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, Play, Played, Stretch, play_stretches, play_whole, start_variable
 from bristle.records.record import Record
@@ -67,7 +70,7 @@ class EquivalentServo:
     gap: float
 
 
-def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progress: Tell | None = None) -> answer.Diagnosis:
+def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progress: Progress | None = None) -> answer.Diagnosis:
     """Find where a plant FMU and records disagree, and name what the FMU lacks.
 
     Parameters
@@ -96,27 +99,31 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     must_be(model, records)
     tell = teller(progress)
     fmu = _checked(Fmu(fmu_path, foreign=True), model)
-    return retried(lambda given, begun: _diagnosed(fmu, model, given, tell, begun), records)
-
-
-def _diagnosed(fmu: Fmu, model: Model, records: Sequence[Record], tell: Tell, begun: float) -> answer.Diagnosis:
-    dataset, said = dataset_of(model, records), check(model, records)
-    segments, lines = _simulated(fmu, dataset, tell)
-    lines += _units(fmu, model)
-    if said.proposals:
-        gap = replace(dataset, segments=segments)
-        return mend_first(model, records, said, nominal_gap(gap, *base_servo_of(model, gap)), time.perf_counter() - begun, lines)
-    tell("fitting a servo to the FMU", 0.05)
-    twin = _twin(model, dataset, replace(dataset, segments=segments))
-    lines.append(_closeness(fmu, model, twin))
-    like = replace(model, parameters={name: float(twin.values[name]) for name in model.parameters})
-    free = replace(like, bounds=_bounds(model, twin))
-    base = fit_from_several_starts(twin.dataset, *base_servo_of(free, twin.dataset))
-    left = mean_square(base.fit, twin.dataset.held_out)
-    kept = replace(like, bounds=_around(model, like.parameters))
-    if twin.error > max(FMU_ERROR_RATIO * math.sqrt(left), base.problem.noise.sensor):
-        return _refused(kept, twin, records, left, lines, time.perf_counter() - begun)
-    found = examine(free, records, twin.dataset, base, tell, begun)
+    started = time.perf_counter()
+    with threadpool_limits(1, user_api="blas"):
+        while True:
+            dataset, said = dataset_of(model, records), check(model, records)
+            segments, lines = _simulated(fmu, dataset, tell)
+            lines += _units(fmu, model)
+            if said.proposals:
+                gap = replace(dataset, segments=segments)
+                nominal = nominal_gap(gap, *base_servo_of(model, gap))
+                return mend_first(model, records, said, nominal, time.perf_counter() - started, lines)
+            tell("fitting a servo to the FMU", 0.05)
+            twin = _twin(model, dataset, replace(dataset, segments=segments))
+            lines.append(_closeness(fmu, model, twin))
+            like = replace(model, parameters={name: float(twin.values[name]) for name in model.parameters})
+            free = replace(like, bounds=_bounds(model, twin))
+            base = fit_from_several_starts(twin.dataset, *base_servo_of(free, twin.dataset))
+            left = mean_square(base.fit, twin.dataset.held_out)
+            kept = replace(like, bounds=_around(model, like.parameters))
+            if twin.error > max(FMU_ERROR_RATIO * math.sqrt(left), base.problem.noise.sensor):
+                return _refused(kept, twin, records, left, lines, time.perf_counter() - started)
+            outcome = search(twin.dataset, base, reporting(SearchOptions(), tell))
+            if outcome.input_share is None:
+                break
+            records = with_input_share(records, outcome.input_share)
+        found = examine(free, records, twin.dataset, base, outcome, tell, started)
     wrong = _wrong(fmu, found, twin)
     agrees = [] if wrong or found.verdict != "none" or found.remains.flag else [_agreement(fmu, found, twin)]
     return replace(found, model=kept, statement=(*agrees, *found.statement), findings=(*lines, *wrong, *found.findings))
@@ -135,7 +142,7 @@ def _checked(fmu: Fmu, model: Model) -> Fmu:
 
 
 # -- the FMU over the records ------------------------------------------------------------------------------------------
-def _simulated(fmu: Fmu, dataset: Dataset, tell: Tell) -> tuple[Segments, list[str]]:
+def _simulated(fmu: Fmu, dataset: Dataset, tell: Progress) -> tuple[Segments, list[str]]:
     """Return what the FMU gives in place of what was measured (averages and start states), and how it was run."""
     tell("simulating the FMU", 0.0)
     s = dataset.segments

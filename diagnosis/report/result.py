@@ -58,6 +58,7 @@ class Round:
     gain: float = 0.0  # of the best one, under the noise that it leaves
     size: float = 1.0  # factor by which it lowers the mean squared error
     finer: float | None = None  # the same gain with finer steps of the simulation
+    rejected: str | None = None  # the best candidate, if it was not added for a reason of its own
 
 
 @dataclass(frozen=True)
@@ -181,6 +182,7 @@ class Diagnosis:
     seconds: float = 0.0
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    input_share: float | None = None  # of the next sample in the input between two samples; None if it was held
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
@@ -211,6 +213,7 @@ class Diagnosis:
                 "undetected": dict(self.undetected),
                 "choices": {n: {k: asdict(v) for k, v in found.items()} for n, found in self.choices.items()},
                 "seconds": self.seconds,
+                "input_share": self.input_share,
             }
         )  # fmt: skip
         return content

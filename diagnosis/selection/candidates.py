@@ -1,80 +1,106 @@
-"""Every effect as a candidate: refitted by simulation together with the model."""
+"""Effects as candidates: each refitted by simulation together with the model, and the null distribution of their gains."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load
-from bristle.diagnosis.estimation.likelihood import Fit, Problem, rescored
-from bristle.diagnosis.estimation.optimiser import (
-    FIT_ITERATIONS,
-    ROUGH_STOP_GAIN,
-    refit_nonsmooth,
-    refit_rescored,
-    resume,
-    value_under_noise,
-)
-from bristle.diagnosis.estimation.simulator import has_free_play
+from bristle.common.errors import BristleError
+from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
+from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescored
+from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise
+from bristle.diagnosis.estimation.simulator import Simulator, free_parameters, has_free_play, inactive_values
+from bristle.diagnosis.localisation.residual_response import directions
+from bristle.diagnosis.selection.null_distribution import Null, largest_gain
+from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
-CLIMB_REPEATS = 4  # as often at most steps are taken, as long as they gain half of what is lacking to the model without the effect,
-# whose other parameters made up for it (a dead zone: 280 nats below after two steps, 590 above in the end)
-INERT_GAIN = (
-    -20.0,
-    2.0,
-)  # nats that a start promises over the model without the effect: it does nothing there, and steps found none
-
-
-CONTACT_DEFICIT = 1000.0  # nats below the model without it: a contact that promises no more at any start is none (of 16 records the
+Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
+CLIMB_REPEATS = 4  # most repetitions of the steps of a candidate that is still below the model without it, but rising
+INERT_GAIN = (-20.0, 2.0)  # nats: predicted gain of an effect that has no influence at its start values
+CONTACT_DEFICIT = 1000.0  # nats: a contact that is predicted to stay this far below the model without it is not refitted
+WAVE_STARTS = 8  # start values of a searched frequency that are refitted where the model fits poorly
+LOAD_STARTS_TRIED = 5  # start values of a contact whose load is initialised before they are compared
+HOPEFUL_LEVELS = 0.6  # of the null's level: least predicted gain of a candidate that is refitted to the end
+MOST_REFITTED = 6  # most candidates that are refitted to the end
+FOLLOWED_SHARE = 0.1  # of the best predicted gain: least of one that is refitted to the end
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How far candidates are followed.
+    """How far candidates are refitted before the best are chosen.
 
-    `starts` from which steps are taken, `steps` at a time; `all`: starts that promise nothing too.
+    Attributes
+    ----------
+    starts : int
+        Start values that are refitted.
+    steps : int
+        Steps of such a refit.
+    exhaustive : bool
+        Refit all of these start values, also where no gain is predicted.
     """
 
     starts: int
     steps: int
-    all: bool
+    exhaustive: bool
 
 
 QUICK = Effort(2, 2, False)
-EXHAUSTIVE = Effort(14, 25, True)  # (a compliance: 804 nats below at its start, 6 below after 12 steps, 1479 above after 20)
+EXHAUSTIVE = Effort(14, 25, True)
 
 
 @dataclass(frozen=True)
-class Test:
-    """What a candidate is worth.
+class Assessment:
+    """What a candidate above the null's level is worth.
 
-    `fall`: factor by which the mean squared error falls; `kept`: gain on segments kept from the search [nats]; `large`,
-    `proven`: whether each is enough; `behind`: by how much the best one is likelier, and the standard error of that [nats].
+    Attributes
+    ----------
+    error_reduction : float
+        Factor by which the mean squared error falls.
+    held_out_gain : float
+        Gain on held-out segments, clipped in each [nats].
+    large_enough, confirmed : bool
+        Whether the first and the second suffice.
+    deficit : (float, float)
+        By how much the best candidate is likelier, and the standard error of that [nats].
     """
 
-    fall: float
-    kept: float
-    large: bool
-    proven: bool
-    behind: tuple[float, float] = (0.0, 0.0)
+    error_reduction: float = 1.0
+    held_out_gain: float = 0.0
+    large_enough: bool = False
+    confirmed: bool = False
+    deficit: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect fitted to the records: the fit of the whole model, and the directions it can explain anything in."""
+    """An effect fitted to the records together with the model.
+
+    Attributes
+    ----------
+    fit : Fit, optional
+        None if the effect could not be tried; `reason` says why.
+    directions : tuple of ndarray, shape (segments, bins, k)
+        Directions of the residual that each start value can explain.
+    predicted : float
+        Log-likelihood that the next step predicts [nats].
+    other_starts : tuple of Fit
+        Further start values.
+    assessment : Assessment, optional
+        Of a candidate that was compared with others above the null's level.
+    """
 
     name: str
     fit: Fit | None
-    banks: tuple[Array, ...] = ()
-    promised: float = -np.inf  # log-likelihood that the first step promises
-    rivals: tuple[Fit, ...] = ()  # other starts
-    refused: str = ""
-    test: Test | None = None
+    directions: tuple[Array, ...] = ()
+    predicted: float = -np.inf
+    other_starts: tuple[Fit, ...] = ()
+    reason: str = ""
+    assessment: Assessment | None = None
 
     @property
     def size(self) -> int:
@@ -82,8 +108,8 @@ class Candidate:
         return len(self.fit.free) if self.fit else 0
 
     @property
-    def merit(self) -> float:
-        """Log-likelihood less the price of the parameters [nats]. Source: schwarz1978."""
+    def penalised_likelihood(self) -> float:
+        """Log-likelihood less half the Bayesian information criterion's penalty [nats]. Source: schwarz1978."""
         if self.fit is None:
             return -np.inf
         return self.fit.total - 0.5 * self.size * float(np.log(np.count_nonzero(self.fit.weight) + 1.0))
@@ -92,64 +118,162 @@ class Candidate:
         """Return by how much it is likelier than another fit under the same noise [nats]."""
         return self.fit.total - fit.total if self.fit else -np.inf
 
-    def inside(self, limits: Mapping[str, tuple[float, float]]) -> bool:
-        """False where a parameter ends at a limit of the records: what it explains there is something else."""
+    def inside_limits(self, limits: Mapping[str, tuple[float, float]]) -> bool:
+        """False where a parameter ends at a limit of the records: it then stands in for another effect."""
         assert self.fit is not None
         free = {f.name for f in self.fit.free} & set(limits)
         ends = [(self.fit.values[name], end) for name in free for end in limits[name] if np.isfinite(end)]
         return not any(abs(value - end) <= 1e-6 * (1 + abs(end)) for value, end in ends)
 
-    def within(self, ranges: Mapping[str, tuple[float, float]]) -> bool:
+    def credible(self, ranges: Mapping[str, tuple[float, float]]) -> bool:
         """True if its own parameters lie in the intervals of those that have one."""
         assert self.fit is not None
         own = {name: ends for name, ends in ranges.items() if name.startswith(f"{self.name}.")}
         return all(low <= self.fit.values[name] <= high for name, (low, high) in own.items())
 
 
-def _reached(fit: Fit, quiet: Callable[[Fit], Problem]) -> tuple[float, Fit]:
-    """Return what steps have led to as `value_under_noise` does; a loose load is laid anew, where a step
-    promises what none can keep."""
+def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort) -> tuple[list[Candidate], Null]:
+    """Return the named effects, the most promising of them refitted to the end, and the null of the largest gain."""
+    tried = []
+    for i, name in enumerate(names):
+        context.options.progress(name, i / max(len(names), 1))
+        tried.append(_screened(context, name, effort))
+    if not any(c.fit for c in tried):
+        return tried, Null(np.zeros(1), {})
+    if effort is QUICK and has_free_play(max(tried, key=lambda c: c.predicted).name):
+        # a shaft that hardens resembles free play, but needs more steps to be found
+        stiff = {c.name for c in tried if c.fit and find_effect(c.name).coupling and not has_free_play(c.name)}
+        tried = [_screened(context, c.name, EXHAUSTIVE) if c.name in stiff else c for c in tried]
+    null = _null(context, tried)
+    chosen = _most_promising(context, tried, null)
+    if not chosen:
+        return tried, null
+    tried = [refit_to_end(context, c) if c.name in chosen else c for c in tried]
+    return tried, _null(context, tried)
+
+
+def _screened(context: SearchContext, name: str, effort: Effort) -> Candidate:
+    """Return an effect after a few steps from its best start values."""
+    if name in context.dataset.excluded:
+        return Candidate(name, None, reason=context.dataset.excluded[name])
+    effort = EXHAUSTIVE if name in context.options.exhaustive else effort
+    candidate = evaluate_starts(context, name, effort)
+    return advance_candidate(context, candidate, effort) if candidate.fit else candidate
+
+
+def _most_promising(context: SearchContext, tried: Sequence[Candidate], null: Null) -> set[str]:
+    """Return the names of the candidates that are refitted to the end."""
+    least = context.fit.total
+    hopeful = [c for c in tried if c.fit and c.predicted - least > HOPEFUL_LEVELS * null.level(c.name)]
+    hopeful = sorted(hopeful, key=lambda c: -c.predicted)[:MOST_REFITTED]
+    return {c.name for c in hopeful if c.predicted - least > FOLLOWED_SHARE * (hopeful[0].predicted - least)}
+
+
+def _null(context: SearchContext, tried: Sequence[Candidate]) -> Null:
+    """Return the null of the largest gain; what the best candidate explains does not count as noise."""
+    fitted = [c for c in tried if c.fit is not None]
+    best = max(fitted, key=lambda c: c.penalised_likelihood)
+    assert best.fit is not None
+    white = rescored(context.fitted.problem, best.fit).white
+    residual = context.response.freed(white[:, :, None])[:, :, 0]
+    return largest_gain({c.name: c.directions for c in fitted}, residual, context.fit.weight)
+
+
+# -- start values --------------------------------------------------------------------------------------------------------
+def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candidate:
+    """Return an effect at the start value with the largest predicted likelihood, and the next best ones."""
+    fit = context.fit
+    try:
+        simulator = context.fitted.servo.simulator(fit.simulator.segments, (name,))
+    except BristleError as error:
+        return Candidate(name, None, reason=str(error))
+    trials, explained = [], []
+    for start in (*context.start_values(name, context.evidence), *bristle_starts(context.fitted, name)):
+        values = {f"{name}.{k}": v for k, v in start.items()}
+        first = _fit_at(context, simulator, name, start, (values, fit.initial))
+        explained.append(_explained(context, first, len(first.free) - len(context.fitted.servo.own(name))))
+        trials.append(value_under_noise(first, context.screening_noise))
+    for joint in context.joint_starts(name):
+        alone = {key: value for key, value in joint.values.items() if key.startswith(f"{name}.")}
+        # with the parameters of the inverse dynamics, and with those of the simulated model: either may be closer
+        for place in ((joint.values, context.fitted.problem.initial), (alone, fit.initial)):
+            trials.append(value_under_noise(_fit_at(context, simulator, name, joint.own, place), context.screening_noise))
+    trials = _with_load_initialised(context, name, sorted(trials, key=lambda trial: -trial[0]))
+    wave = context.fits_poorly and bool(find_effect(name).periods)
+    (predicted, best), *rest = trials[: max(effort.starts, WAVE_STARTS if wave else 0)]
+    return Candidate(name, best, tuple(explained), predicted, tuple(fit for _, fit in rest))
+
+
+def _fit_at(context: SearchContext, simulator: Simulator, name: str, start: Start, place: tuple[Mapping[str, float], Array]) -> Fit:
+    """Return the model with an effect at some parameter values and initial states (`place`), before any step.
+
+    The initial states of a load with free play are refined, since they were fitted without the effect.
+    """
+    problem, fit, servo = context.fitted.problem, context.fit, context.fitted.servo
+    values, states = place
+    free = (*servo.own(name), *free_parameters(name, start, servo.limits))
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
+    whole = {**defaults, **fit.values, **values}
+    inside = {f.name: f.clip(whole[f.name]) for f in free}
+    steps = REFINEMENT_STEPS if fit.simulator.play else 0
+    return refine_initial_states(problem, evaluate(problem, Point(simulator, free, whole | inside, states)), steps)
+
+
+def _explained(context: SearchContext, fit: Fit, count: int) -> Array:
+    """Return the directions of the residual that an effect's `count` parameters and its mere presence can explain."""
+    response, plain = context.response, context.fit
+    present = (fit.white - plain.white)[:, :, None]
+    columns = np.concatenate([fit.by_parameter[:, :, -count:], present], axis=2)
+    usable = np.isfinite(columns).all(axis=(1, 2), keepdims=True)
+    return directions(response.free_of_model(response.freed(np.where(usable, columns, 0.0))), plain.weight)
+
+
+def _with_load_initialised(context: SearchContext, name: str, trials: list[Trial]) -> list[Trial]:
+    """Return the trials of a contact once more with its load placed where each segment is likeliest; others as they are."""
+    least = context.fit.total - CONTACT_DEFICIT
+    if not (has_free_play(name) and trials[0][0] > least):
+        return trials
+    problem = context.fitted.problem
+    near = [fit for predicted, fit in trials[:LOAD_STARTS_TRIED] if predicted > least]
+    placed = [value_under_noise(initialise_load(problem, fit), context.screening_noise) for fit in near]
+    return sorted(placed, key=lambda trial: -trial[0])
+
+
+# -- refits --------------------------------------------------------------------------------------------------------------
+def advance_candidate(context: SearchContext, candidate: Candidate, effort: Effort) -> Candidate:
+    """Take steps from the best start values and keep the better result; from one only where no gain is predicted.
+
+    An effect without influence at its start values is not moved, unless it switches.
+    """
+    assert candidate.fit is not None
+    contact, gain = has_free_play(candidate.name), candidate.predicted - context.fit.total
+    inert = INERT_GAIN[0] < gain < INERT_GAIN[1] and not contact and not find_effect(candidate.name).nonsmooth
+    if (inert and not effort.exhaustive) or (contact and gain < -CONTACT_DEFICIT):
+        return replace(candidate, other_starts=())
+    several = candidate.other_starts if effort.exhaustive or gain > 0 or candidate.fit.simulator.play else ()
+    ends = [_advanced(context, fit, effort.steps, 1 if contact else CLIMB_REPEATS) for fit in (candidate.fit, *several)]
+    predicted, fit = max(ends, key=lambda end: end[0])
+    return replace(candidate, fit=fit, predicted=predicted, other_starts=())
+
+
+def _advanced(context: SearchContext, fit: Fit, steps: int, repeats: int) -> Trial:
+    """Return a fit after steps, repeated while they gain half of what is lacking to the model without the effect."""
+    for _ in range(repeats):
+        before, fit = fit.total, refit_rescored(fit, context.screening_noise, steps)
+        if not 0 < context.fit.total - fit.total < 2 * (fit.total - before):
+            break
     if not fit.simulator.play:
-        return value_under_noise(fit, quiet)
-    fit = initialise_load(quiet(fit), fit, REFINEMENT_STEPS)
-    fit = rescored(quiet(fit), fit)
+        return value_under_noise(fit, context.screening_noise)
+    # a load with free play is initialised anew; predictions of further steps do not hold for it
+    fit = initialise_load(context.screening_noise(fit), fit, REFINEMENT_STEPS)
+    fit = rescored(context.screening_noise(fit), fit)
     return fit.total, fit
 
 
-def advance_candidate(candidate: Candidate, quiet: Callable[[Fit], Problem], least: float, effort: Effort) -> Candidate:
-    """Take steps from each of the most promising starts and stand at the better end; one start does where none promises much.
-
-    What does nothing where it starts stays there, unless it switches.
-    """
-    loose, beyond = has_free_play(candidate.name), candidate.promised - least
-    still = INERT_GAIN[0] < beyond < INERT_GAIN[1] and not loose and not find_effect(candidate.name).nonsmooth
-    if (still and not effort.all) or (loose and beyond < -CONTACT_DEFICIT):
-        return replace(candidate, rivals=())
-    assert candidate.fit is not None
-    several = candidate.rivals if effort.all or beyond > 0 or candidate.fit.simulator.play else ()
-    climbs = 1 if loose else CLIMB_REPEATS
-    ends = [_reached(_climbed(t, quiet, least, effort.steps, climbs), quiet) for t in (candidate.fit, *several)]
-    promised, fit = max(ends, key=lambda end: end[0])
-    return replace(candidate, fit=fit, promised=promised, rivals=())
-
-
-def refit_to_end(candidate: Candidate, quiet: Callable[[Fit], Problem], left_by: Callable[[Fit], Problem]) -> Candidate:
-    """Refit a candidate from where it stands; what switches under the noise that it leaves (`left_by`), which matters then."""
+def refit_to_end(context: SearchContext, candidate: Candidate) -> Candidate:
+    """Refit a candidate; an effect that switches under the noise of its own residual, which matters then."""
     if candidate.fit is None:
         return candidate
-    fit = refit_nonsmooth(refit_rescored(candidate.fit, quiet, FIT_ITERATIONS), left_by, (candidate.name,))
-    return replace(candidate, fit=rescored(quiet(fit), fit))
-
-
-def _climbed(fit: Fit, quiet: Callable[[Fit], Problem], least: float, steps: int, climbs: int) -> Fit:
-    """Return where steps lead from a start, so many at a time, as far as they promise to reach `least` [nats]."""
-    for _ in range(climbs):
-        start, fit = fit.total, refit_rescored(fit, quiet, steps)
-        if not 0 < least - fit.total < 2 * (fit.total - start):
-            break
-    return fit
-
-
-def refit_candidate(problem: Problem, candidate: Candidate) -> Candidate:
-    """Refit a candidate from where it stands, under whatever noise and judged segments the problem has."""
-    return candidate if candidate.fit is None else replace(candidate, fit=resume(problem, candidate.fit, stop_gain=ROUGH_STOP_GAIN))
+    fit = refit_rescored(candidate.fit, context.screening_noise, FIT_ITERATIONS)
+    fit = refit_nonsmooth(fit, context.own_noise, (candidate.name,))
+    return replace(candidate, fit=rescored(context.screening_noise(fit), fit))

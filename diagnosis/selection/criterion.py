@@ -1,145 +1,269 @@
-"""What candidates beyond the null are worth beside each other: size, proof on segments kept from the search, ties."""
+"""Which candidate above the null's level is accepted: size of its gain, confirmation on held-out segments, ties."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.fitted_model import TIE_NATS, FittedModel, refit_with_noise, under_own_noise
+from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_initial_states, refit_nonsmooth, resume
-from bristle.diagnosis.selection.candidates import Candidate, Test, refit_candidate
+from bristle.diagnosis.selection.candidates import Assessment, Candidate
 from bristle.diagnosis.selection.discretisation import finer_gain
 from bristle.diagnosis.selection.effect_size import acting_fall, fall, typical_fall
 from bristle.diagnosis.selection.null_distribution import Null
+from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
 Array = NDArray[np.float64]
-CONTENDER_SHARE = 0.2  # share of the best gain from which a candidate is refitted under the best one's noise
-LEAST_FALL = 1.2  # the mean squared error must fall by this factor: what is smaller is of no use to anyone
-RIVAL_SHARE = 0.6  # share of the best gain that makes a rival: where the best one is too small, or the motion is uniform
-DOUBTLESS_LEVELS, AGREED_NATS = 10.0, 6.0  # times the null's level and nats on segments kept from the search, two of them at least:
-# a gain beyond doubt, whatever a few segments make of the mean square (of 240 controls none gained 4.4 times the level, and
-# none of those beyond 1.8 times any nat on segments kept from the search)
-CERTAIN_LEVELS = 30.0  # times the level: beyond doubt whatever those segments say, where a second effect decides it (of 65 gains as
-# large that were refused in the first round of 1540 records, 63 were those of an effect that was there and 2 were in ties; of 14
-# that were 20 to 30 times the level, 5 were not)
-CLEAR_LEVELS = (
-    3.0  # times the null's level: from there on the segments where a local effect acts say how large it is (controls: 2.2)
-)
-CLOSE_ERRORS, CLOSER_ERRORS = (
-    2.0,
-    1.0,
-)  # standard errors that a candidate may be behind to take the place of a best one that does not hold,
-# if it gains `CLEAR_LEVELS` times the level, and otherwise, or where it is only plainer (of the single effects of 1540 records four
-# wrong ones that took that place were 1.1 to 1.5 behind, and the right ones 0.7 at most)
-NEARLY_EQUAL_FALL = 0.95  # of the fall that another one brings: no less to anyone who uses it
-NATS_PER_PARAMETER = 3.3  # nats that a further parameter must gain
-SEGMENT_NATS = 3.0  # nats: what one segment may say about it
-WIDE_SEGMENT_NATS = 8.0  # the same where it is to prove that the best candidate holds on segments kept from the search:
-EXPECTED_SHARE, ALLOWED_LOSS = (
-    0.25,
-    10.0,
-)  # it must show this share of what they would gain if they were like the others, less so many nats,
-SUFFICIENT_NATS, COUPLING_NATS = 16.0, 4.0  # of which so many are enough, or so many where contacts go another way in each run
-LEAST_HELD_OUT_FALL = (
-    1.1  # and their squared error must fall by this factor, unless it only shows in a few, or contacts differ in each run
-)
-CEDED_SHARE = 0.1  # share of the gain that they may lose to an effect that lives elsewhere
+Outcome = Literal["none", "rejected", "tie", "added", "withdrawn"]
+CONTENDER_SHARE = 0.2  # of the best gain: least gain of a candidate that is refitted under the best one's noise
+NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
+LEAST_FALL = 1.2  # factor by which the mean squared error must fall
+RIVAL_SHARE = 0.6  # of the best gain: least gain of a rival, where the best one is too small or the motion is uniform
+DOUBTLESS_LEVELS = 10.0  # times the null's level: a gain beyond doubt, if held-out segments agree
+AGREED_NATS = 6.0  # nats: gain on held-out segments with which they agree
+CERTAIN_LEVELS = 30.0  # times the null's level: a gain beyond doubt, whatever held-out segments show
+CLEAR_LEVELS = 3.0  # times the null's level: gain from which a sparse effect's size is judged where it acts
+CLOSE_ERRORS = 2.0  # standard errors: most by which a candidate with a clear gain may be behind a best one that is rejected
+CLOSER_ERRORS = 1.0  # standard errors: the same for other candidates and for simpler ones
+NEARLY_EQUAL_FALL = 0.95  # of the fall in error by another candidate: in practice the same
+NATS_PER_PARAMETER = 3.3  # nats: least gain of a further parameter (1 % level of a likelihood ratio)
+SEGMENT_NATS = 3.0  # nats: largest gain that counts for one held-out segment where they are to agree
+WIDE_SEGMENT_NATS = 8.0  # nats: the same where they are to confirm a candidate
+EXPECTED_SHARE = 0.25  # of the gain that the training segments predict: least on held-out segments
+ALLOWED_LOSS = 10.0  # nats: by which the gain on held-out segments may be less
+SUFFICIENT_NATS = 16.0  # nats: gain on held-out segments that is enough in any case
+COUPLING_NATS = 4.0  # nats: the same for couplings, whose contacts differ from run to run
+LEAST_HELD_OUT_FALL = 1.1  # factor by which the squared error of held-out segments must fall, but for sparse effects and couplings
+CEDED_SHARE = 0.1  # of its gain: most that a sparse effect may lose on held-out segments, beside `ALLOWED_LOSS`
 
 
 @dataclass(frozen=True)
 class SearchRound:
-    """What one round found."""
+    """One round of the search.
+
+    Attributes
+    ----------
+    null : Null
+        Of the largest gain of its candidates.
+    base : float
+        Log-likelihood without any of them, under the noise of the best one [nats].
+    best : Candidate, optional
+        None if no candidate is above the null's level.
+    gain : float
+        Of the best one [nats].
+    ties : tuple of str
+        Other candidates that the records do not distinguish from it.
+    decision : str
+        What was decided and why, for the report; empty until it is.
+    outcome : str
+        The same as a word: of a candidate that was `withdrawn`, the effect was added and then given up.
+    finer_gain : float, optional
+        Gain with finer steps of the simulation [nats].
+    """
 
     candidates: tuple[Candidate, ...]
     null: Null
     base: float
-    best: Candidate | None
-    gain: float
-    size: float
-    ties: tuple[str, ...]
-    decision: str
-    named: bool = False
-    finer: float | None = None  # gain with finer steps of the simulation
-    kept: float = 0.0  # gain on segments kept from the search
-    large: bool = False  # enough to matter
-    proven: bool = False  # on segments kept from the search
-    withdrawn: bool = False  # named, but something remained on records of a uniform motion
+    best: Candidate | None = None
+    gain: float = 0.0
+    ties: tuple[str, ...] = ()
+    decision: str = ""
+    outcome: Outcome = "none"
+    finer_gain: float | None = None
+
+    @property
+    def named(self) -> bool:
+        """True if its best candidate was added."""
+        return self.outcome == "added"
+
+    @property
+    def assessment(self) -> Assessment:
+        """What its best candidate is worth."""
+        return (self.best and self.best.assessment) or Assessment()
+
+    @property
+    def convincing(self) -> bool:
+        """True if its best candidate is large enough and confirmed."""
+        return self.assessment.large_enough and self.assessment.confirmed
+
+    @property
+    def level(self) -> float:
+        """Gain of its best candidate that chance reaches [nats]."""
+        return self.null.level(self.best.name if self.best else "")
+
+    def rejected(self, decision: str, *, keep_ties: bool = False) -> SearchRound:
+        """Return the round with its best candidate rejected."""
+        return replace(self, decision=decision, outcome="rejected", ties=self.ties if keep_ties else ())
 
 
 def accept_or_reject(
-    dataset: Dataset, fitted: FittedModel, tried: Sequence[Candidate], beyond: Sequence[Candidate], null: Null
+    context: SearchContext, tried: Sequence[Candidate], above_level: Sequence[Candidate], null: Null
 ) -> SearchRound:
-    """Return what the candidates beyond the null are worth beside each other, under the noise that the best one leaves."""
-    beyond = _inside(fitted, beyond)
-    best = max(beyond, key=lambda c: c.merit)
-    contenders = [c for c in beyond if c.gain_over(fitted.fit) > CONTENDER_SHARE * best.gain_over(fitted.fit)]
-    contenders = [replace(c, fit=refit_with_noise(dataset, c.fit)) for c in contenders if c.fit]
-    best = max(contenders, key=lambda c: c.merit)
-    problem, contenders = _under_best_noise(dataset, fitted, best, contenders)
-    contenders = _inside(fitted, contenders)
-    best = max(contenders, key=lambda c: c.merit)
-    plain = _plain(problem, fitted, best)
-    without = _Without(plain, refit_initial_states(problem.only(dataset.held_out), plain), squares(plain, dataset.train))
-    tests = {c.name: _tested(dataset, problem.only(dataset.held_out), without, c, null.level(c.name)) for c in contenders}
-    rivals = [c for c in contenders if tests[c.name].large and c.gain_over(plain) > RIVAL_SHARE * best.gain_over(plain)]
-    leader = max(rivals or contenders, key=lambda c: c.merit)
-    sound = [c for c in contenders if tests[c.name].large and tests[c.name].proven]
-    if leader in sound:
-        others = [c for c in sound if is_simpler_equal(c, leader, tests)]
-    else:
-        far = {c.name: CLOSE_ERRORS if c.gain_over(plain) > CLEAR_LEVELS * null.level(c.name) else CLOSER_ERRORS for c in sound}
-        others = [c for c in sound if _close(leader, c, far[c.name])]
-    leader = max(others or [leader], key=lambda c: c.merit)
-    gain, test = leader.gain_over(plain), tests[leader.name]
-    ties = tuple(c.name for c in sound if c.name != leader.name and _alike(leader, c, bool(dataset.poor_excitation), gain, tests))
-    told = {c.name: replace(c, test=replace(tests[c.name], behind=likelihood_difference(leader, c))) for c in contenders}
-    assert leader.fit is not None
+    """Return the comparison of the candidates above the null's level, under the noise of the best one's residual."""
+    problem, contenders = _refitted_contenders(context, _inside_limits(context, above_level))
+    contenders = _inside_limits(context, contenders)
+    plain = _refitted_plain(problem, context.fit, _likeliest(contenders))
+    comparison = _Comparison.of(context, problem, plain)
+    contenders = [replace(c, assessment=comparison.assess(c, null.level(c.name))) for c in contenders]
+    best = _accepted(contenders, plain, null)
+    confirmed = [c for c in contenders if _is_sound(c)]
+    uniform = bool(context.dataset.poor_excitation)
+    ties = tuple(c.name for c in confirmed if c.name != best.name and is_tied(best, c, plain, uniform))
+    contenders = [_with_deficit(best, c) for c in contenders]
+    [best] = [c for c in contenders if c.name == best.name]
+    assert best.fit is not None
+    candidates = {c.name: c for c in (*tried, *contenders)}
     return SearchRound(
-        tuple(({c.name: c for c in tried} | told).values()), null, plain.total, leader, gain, test.fall, ties, "",
-        kept=test.kept, large=test.large, proven=test.proven, finer=finer_gain(problem, plain, leader.fit),
+        tuple(candidates.values()), null, plain.total, best, best.gain_over(plain), ties,
+        finer_gain=finer_gain(problem, plain, best.fit),
     )  # fmt: skip
 
 
-def _plain(problem: Problem, fitted: FittedModel, best: Candidate) -> Fit:
-    """Return the servo without anything more, from where it stood and from where the best candidate has led it.
-
-    Where a servo sticks and slips the likelihood has small maxima: what a candidate gains by leaving one is not its own. A
-    load that can move by itself makes so many that it is laid anew as well.
-    """
-    assert best.fit is not None
-    old = fitted.fit
-    values = {name: best.fit.values.get(name, value) for name, value in old.values.items()}
-    led = refit(problem, old.at(values, best.fit.initial), stop_gain=ROUGH_STOP_GAIN)
-    better = max((resume(problem, old, stop_gain=ROUGH_STOP_GAIN), led), key=lambda each: each.total)
-    return refit_nonsmooth(better, lambda fit: problem, old.simulator.effects)
+# -- fits under the same noise -------------------------------------------------------------------------------------------
+def _likeliest(candidates: Sequence[Candidate]) -> Candidate:
+    return max(candidates, key=lambda c: c.penalised_likelihood)
 
 
-def _inside(fitted: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
+def _inside_limits(context: SearchContext, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates that end within the limits of the records; all of them if none does."""
-    return [c for c in candidates if c.inside(fitted.servo.limits)] or list(candidates)
+    return [c for c in candidates if c.inside_limits(context.fitted.servo.limits)] or list(candidates)
 
 
-def _under_best_noise(
-    dataset: Dataset, fitted: FittedModel, leader: Candidate, contenders: list[Candidate]
-) -> tuple[Problem, list[Candidate]]:
-    """Refit the contenders under the noise that the best of them leaves, until the best one stays the best."""
-    problem = fitted.problem
-    for _ in range(3):
-        assert leader.fit is not None
-        problem = under_own_noise(dataset, leader.fit)
-        contenders = [refit_candidate(problem, c) for c in contenders]
-        best = max(contenders, key=lambda c: c.merit)
-        same, leader = best.name == leader.name, best
-        if same:
+def _refitted_contenders(context: SearchContext, candidates: Sequence[Candidate]) -> tuple[Problem, list[Candidate]]:
+    """Return those that come near the best one, refitted under its noise until the best one stays the best."""
+    least = CONTENDER_SHARE * _likeliest(candidates).gain_over(context.fit)
+    contenders = [
+        replace(c, fit=refit_with_noise(context.dataset, c.fit)) for c in candidates if c.fit and c.gain_over(context.fit) > least
+    ]
+    best, problem = _likeliest(contenders), context.fitted.problem
+    for _ in range(NOISE_ROUNDS):
+        assert best.fit is not None
+        problem = context.own_noise(best.fit)
+        contenders = [replace(c, fit=resume(problem, c.fit, stop_gain=ROUGH_STOP_GAIN)) for c in contenders if c.fit]
+        before, best = best, _likeliest(contenders)
+        if best.name == before.name:
             break
     return problem, contenders
+
+
+def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
+    """Return the model without any candidate, refitted from its own parameters and from those beside the best candidate.
+
+    Stick-slip makes many small maxima of the likelihood: a candidate must not gain by leaving one of them. A load with free
+    play makes so many that it is initialised anew as well.
+    """
+    assert best.fit is not None
+    values = {name: best.fit.values.get(name, value) for name, value in fit.values.items()}
+    other = refit(problem, fit.at(values, best.fit.initial), stop_gain=ROUGH_STOP_GAIN)
+    better = max((resume(problem, fit, stop_gain=ROUGH_STOP_GAIN), other), key=lambda each: each.total)
+    return refit_nonsmooth(better, lambda fit: problem, fit.simulator.effects)
+
+
+# -- assessment ----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Comparison:
+    """What candidates are compared with.
+
+    Attributes
+    ----------
+    plain, held_out : Fit
+        Of the model without them, on the training and on the held-out segments.
+    problem : Problem
+        Of the held-out segments.
+    squares : ndarray, shape (training segments,)
+        Mean squared errors of the model without them.
+    """
+
+    plain: Fit
+    held_out: Fit
+    problem: Problem
+    squares: Array
+    train: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, context: SearchContext, problem: Problem, plain: Fit) -> _Comparison:
+        held, train = problem.only(context.dataset.held_out), context.dataset.train
+        return cls(plain, refit_initial_states(held, plain), held, squares(plain, train), train)
+
+    def assess(self, candidate: Candidate, level: float) -> Assessment:
+        """Return what a candidate is worth; `level` is the gain that chance reaches [nats].
+
+        Stick-slip lets a few segments diverge by chance, which dominate a mean square. A gain beyond doubt is therefore not
+        judged by it, if the held-out segments agree.
+        """
+        assert candidate.fit is not None
+        effect, gain = find_effect(candidate.name), max(candidate.gain_over(self.plain), 0.0)
+        held_out = refit_initial_states(self.problem, candidate.fit)
+        gains = (held_out.score - self.held_out.score)[self.problem.counted]
+        reduction = self._error_reduction(candidate.fit, effect.sparse, gain > CLEAR_LEVELS * level)
+        agreed = _clipped_sum(gains, SEGMENT_NATS)
+        sure = beyond_doubt(gain, level, agreed)
+        predicted = gain * len(gains) / max(int(np.count_nonzero(self.train)), 1)
+        least = min(EXPECTED_SHARE * predicted - ALLOWED_LOSS, COUPLING_NATS if effect.coupling else SUFFICIENT_NATS)
+        least = -ALLOWED_LOSS - CEDED_SHARE * gain if effect.sparse else least
+        holds = _clipped_sum(gains, WIDE_SEGMENT_NATS) > least
+        confirmed = sure or (holds and (effect.sparse or bool(effect.coupling) or self._error_falls(held_out)))
+        return Assessment(reduction, agreed, is_large_enough(reduction, sure, bool(effect.coupling)), confirmed)
+
+    def _error_reduction(self, fit: Fit, sparse: bool, clear: bool) -> float:
+        """Return the factor by which the error falls on training segments; for a sparse effect with a clear gain where it acts."""
+        after = squares(fit, self.train)
+        whole = fall(self.squares, after, sparse)
+        return max(whole, acting_fall(self.squares, after)) if sparse and clear else whole
+
+    def _error_falls(self, held_out: Fit) -> bool:
+        """True if the error falls on held-out segments, in all or in the typical one."""
+        before, after = squares(self.held_out, self.problem.counted), squares(held_out, self.problem.counted)
+        return max(fall(before, after), typical_fall(before, after)) > LEAST_HELD_OUT_FALL
+
+
+def is_large_enough(error_reduction: float, sure: bool, coupling: bool) -> bool:
+    """True if the error falls by a factor that matters, or by any factor where the gain is beyond doubt.
+
+    A coupling must lower the error: its second inertia can gain likelihood by calling the residual a disturbance.
+    """
+    return error_reduction >= LEAST_FALL or (sure and (error_reduction >= 1 or not coupling))
+
+
+def beyond_doubt(gain: float, level: float, held_out_gain: float) -> bool:
+    """True if a gain is so far above what chance reaches (`level`) that no further test is needed (all in nats)."""
+    return gain > CERTAIN_LEVELS * level or (gain > DOUBTLESS_LEVELS * level and held_out_gain > AGREED_NATS)
+
+
+def _clipped_sum(gains: Array, most: float) -> float:
+    return float(np.clip(gains, -most, most).sum())
+
+
+# -- the best one, and ties ----------------------------------------------------------------------------------------------
+def _is_sound(candidate: Candidate) -> bool:
+    """True if a candidate is large enough and confirmed."""
+    return candidate.assessment is not None and candidate.assessment.large_enough and candidate.assessment.confirmed
+
+
+def _accepted(contenders: Sequence[Candidate], plain: Fit, null: Null) -> Candidate:
+    """Return the candidate to add: the likeliest large one or, in its place, a simpler one or the next one that is confirmed."""
+    least = RIVAL_SHARE * _likeliest(contenders).gain_over(plain)
+    large = [c for c in contenders if c.assessment and c.assessment.large_enough and c.gain_over(plain) > least]
+    best = _likeliest(large or contenders)
+    sound = [c for c in contenders if _is_sound(c)]
+    if best in sound:
+        others = [c for c in sound if is_simpler_equal(c, best)]
+    else:
+        others = [c for c in sound if _is_close(best, c, _most_errors(c, plain, null))]
+    return _likeliest(others or [best])
+
+
+def _most_errors(candidate: Candidate, plain: Fit, null: Null) -> float:
+    """Return the standard errors by which a candidate may be behind a best one that is not confirmed."""
+    clear = candidate.gain_over(plain) > CLEAR_LEVELS * null.level(candidate.name)
+    return CLOSE_ERRORS if clear else CLOSER_ERRORS
 
 
 def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, float]:
@@ -150,95 +274,50 @@ def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, flo
     assert best.fit is not None
     assert other.fit is not None
     difference = (best.fit.score - other.fit.score)[best.fit.weight > 0]
-    return best.merit - other.merit, float(np.std(difference) * np.sqrt(len(difference)))
+    deficit = best.penalised_likelihood - other.penalised_likelihood
+    return deficit, float(np.std(difference) * np.sqrt(len(difference)))
 
 
-@dataclass(frozen=True)
-class _Without:
-    """The model that candidates are compared with: its fit, that on the segments kept from the search, squares of the others."""
-
-    fit: Fit
-    held: Fit
-    squares: Array
+def _with_deficit(best: Candidate, candidate: Candidate) -> Candidate:
+    assert candidate.assessment is not None
+    return replace(candidate, assessment=replace(candidate.assessment, deficit=likelihood_difference(best, candidate)))
 
 
-def _tested(dataset: Dataset, held: Problem, without: _Without, candidate: Candidate, level: float) -> Test:
-    """Return what a candidate is worth: size on the segments of the search, and whether those kept from it agree.
+def is_simpler_equal(simple: Candidate, rich: Candidate) -> bool:
+    """True if a candidate has fewer parameters and the other one's further ones gain no more than chance.
 
-    Where a servo sticks and slips, a few segments go another way by chance and hide all others in a mean square; what is
-    beyond doubt is not judged by it, if the segments kept from the search agree.
+    Or if it leaves hardly a larger error and the records hardly distinguish them: a step soon after the beginning is nearly
+    a constant torque, and its moment can always be chosen to gain a few nats.
+
+    Source: wilks1938 (likelihood ratio of nested models, 1 %).
     """
-    assert candidate.fit is not None
-    effect = find_effect(candidate.name)
-    new, old = refit_initial_states(held, candidate.fit), without.held
-    gains = (new.score - old.score)[held.counted]
-    found = max(candidate.gain_over(without.fit), 0.0)
-    before, after = without.squares, squares(candidate.fit, dataset.train)
-    size = fall(before, after, effect.sparse)
-    if effect.sparse and found > CLEAR_LEVELS * level:
-        size = max(size, acting_fall(before, after))
-    kept = squares(old, held.counted), squares(new, held.counted)
-    agreed = _clipped(gains, SEGMENT_NATS)
-    sure = beyond_doubt(found, level, agreed)
-    like = found * len(gains) / max(int(np.count_nonzero(dataset.train)), 1)
-    least = min(EXPECTED_SHARE * like - ALLOWED_LOSS, COUPLING_NATS if effect.coupling else SUFFICIENT_NATS)
-    proven = bool(_clipped(gains, WIDE_SEGMENT_NATS) > (-ALLOWED_LOSS - CEDED_SHARE * found if effect.sparse else least))
-    helps = effect.sparse or bool(effect.coupling) or max(fall(*kept), typical_fall(*kept)) > LEAST_HELD_OUT_FALL
-    return Test(size, agreed, is_large_enough(size, sure, bool(effect.coupling)), sure or (proven and helps))
-
-
-def is_large_enough(size: float, sure: bool, coupling: bool) -> bool:
-    """True if the error falls by a factor that is enough, or by whatever where the gain is beyond doubt.
-
-    What a second inertia gains by calling the rest a disturbance is none: it lowers the error, or is not there.
-    """
-    return size >= LEAST_FALL or (sure and (size >= 1 or not coupling))
-
-
-def beyond_doubt(gain: float, level: float, agreed: float) -> bool:
-    """True if a gain is so far above what chance gives (`level`) that it needs no more proof than this (all in nats).
-
-    `agreed` is what segments kept from the search say of it; of the largest gains even that is not asked.
-    """
-    return gain > CERTAIN_LEVELS * level or (gain > DOUBTLESS_LEVELS * level and agreed > AGREED_NATS)
-
-
-def _clipped(gains: Array, most: float) -> float:
-    return float(np.clip(gains, -most, most).sum())
-
-
-def is_simpler_equal(plain: Candidate, rich: Candidate, tests: Mapping[str, Test]) -> bool:
-    """True if a candidate does with fewer parameters what another does no better than by chance.
-
-    Or if it leaves hardly a larger error, and the records hardly tell them apart: a step soon after the start is nearly a constant
-    torque, and can always be moved to where it gains a few nats more.
-
-    Source: wilks1938 (likelihood ratio of a model within another, 1 %).
-    """
-    assert plain.fit is not None
+    assert simple.fit is not None
     assert rich.fit is not None
-    if plain.size >= rich.size:
+    if simple.size >= rich.size:
         return False
-    chance = rich.fit.total - plain.fit.total < NATS_PER_PARAMETER * (rich.size - plain.size)
-    comparable = not find_effect(plain.name).sparse  # whose fall may be that of a few segments alone
-    return chance or (
-        comparable and tests[plain.name].fall >= NEARLY_EQUAL_FALL * tests[rich.name].fall and _close(rich, plain, CLOSER_ERRORS)
-    )
+    if rich.fit.total - simple.fit.total < NATS_PER_PARAMETER * (rich.size - simple.size):
+        return True
+    if find_effect(simple.name).sparse:  # its fall in error may be that of a few segments
+        return False
+    assert simple.assessment is not None
+    assert rich.assessment is not None
+    equal = simple.assessment.error_reduction >= NEARLY_EQUAL_FALL * rich.assessment.error_reduction
+    return equal and _is_close(rich, simple, CLOSER_ERRORS)
 
 
-def _close(best: Candidate, other: Candidate, errors: float) -> bool:
+def _is_close(best: Candidate, other: Candidate, errors: float) -> bool:
     """True if another candidate is no more than so many standard errors behind the best one."""
-    behind, doubt = likelihood_difference(best, other)
-    return behind < errors * doubt
+    deficit, error = likelihood_difference(best, other)
+    return deficit < errors * error
 
 
-def _alike(best: Candidate, other: Candidate, narrow: bool, gain: float, tests: Mapping[str, Test]) -> bool:
-    """True if the records do not tell two candidates apart; where the motion is uniform, any strong one is a rival."""
+def is_tied(best: Candidate, other: Candidate, plain: Fit, uniform: bool) -> bool:
+    """True if the records do not distinguish two candidates; in `uniform` motion every strong one is tied."""
     assert best.fit is not None
     assert other.fit is not None
-    if narrow and best.fit.total - other.fit.total < (1 - RIVAL_SHARE) * gain:
+    if uniform and best.fit.total - other.fit.total < (1 - RIVAL_SHARE) * best.gain_over(plain):
         return True
-    return likelihood_difference(best, other)[0] < TIE_NATS and not is_simpler_equal(best, other, tests)
+    return likelihood_difference(best, other)[0] < TIE_NATS and not is_simpler_equal(best, other)
 
 
 def group(name: str) -> str:

@@ -48,7 +48,7 @@ def detection_limits(candidates: Sequence[Candidate], null: Null, base: float) -
 
 def _undetected(c: Candidate, null: Null, base: float) -> Undetected:
     if c.fit is None:
-        return Undetected(c.name, c.refused)
+        return Undetected(c.name, c.reason)
     if (gain := c.fit.total - base) > null.level(c.name):
         return Undetected(c.name, gain=gain)
     effect = find_effect(c.name)

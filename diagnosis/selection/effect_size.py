@@ -1,4 +1,4 @@
-"""How large an error is, so that no chance event decides: squares of segments, and by which factor they fall."""
+"""Factor by which the squared errors of segments fall, robust against outliers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-OUTLIER_QUARTILES = 10.0  # of the upper quartile: where a segment counts no more, be it that the servo stuck or slipped by chance
+OUTLIER_QUARTILES = 10.0  # times the upper quartile of the segments' squared errors: most that one segment counts for
 
 
 def typical_fall(before: Array, after: Array) -> float:
@@ -14,19 +14,19 @@ def typical_fall(before: Array, after: Array) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300)))))
 
 
-def fall(before: Array, after: Array, local: bool = False) -> float:
+def fall(before: Array, after: Array, sparse: bool = False) -> float:
     """Return by which factor mean squared errors of segments (segments,) fall.
 
-    None counts more than some usual ones, unless the effect is `local`: one that can only show in a few segments.
+    Outliers are clipped, unless the effect is `sparse`: one that acts in a few segments only.
     """
-    most = np.inf if local else OUTLIER_QUARTILES * max(float(np.quantile(after, 0.75)), 1e-300)
+    most = np.inf if sparse else OUTLIER_QUARTILES * max(float(np.quantile(after, 0.75)), 1e-300)
     return float(np.minimum(before, most).sum() / np.minimum(after, most).sum())
 
 
 def acting_fall(before: Array, after: Array) -> float:
-    """Return by which factor mean squared errors (segments,) fall where an effect acts: where they change more than is usual.
+    """Return by which factor mean squared errors (segments,) fall in segments where they change much.
 
-    What acts in a few segments is hidden by all others in a mean.
+    In the mean of all segments an effect that acts in a few is hidden.
     """
     acting = np.abs(before - after) > np.quantile(after, 0.75)
     return float(before[acting].sum() / max(float(after[acting].sum()), 1e-300)) if acting.any() else 1.0

@@ -1,161 +1,227 @@
-"""Start values of the effects, from data and from the balance of torques, and what each promises."""
+"""Start values of effects: from the residual, from the inverse dynamics, from the nominal model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis.estimation.dataset import Dataset, Motion
-from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
-from bristle.diagnosis.estimation.inverse_dynamics import (
-    BALANCE_SCREENING_ITERATIONS,
-    Balance,
-    Balanced,
-    BalancedModel,
+from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.fitted_model import (
+    FittedModel,
+    balanced_model,
+    fits_poorly,
+    has_diverged,
+    reduced_friction_start,
+    under_own_noise,
 )
+from bristle.diagnosis.estimation.inverse_dynamics import BALANCE_SCREENING_ITERATIONS, Balance, Balanced, BalancedModel
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
-from bristle.diagnosis.estimation.optimiser import value_under_noise
-from bristle.diagnosis.estimation.simulator import (
-    BRISTLE_EFFECTS,
-    OWN_BRISTLES,
-    Free,
-    Servo,
-    free_parameters,
-    has_free_play,
-    inactive_values,
-)
-from bristle.diagnosis.localisation.residual_response import ResidualResponse, directions
-from bristle.diagnosis.selection.candidates import CONTACT_DEFICIT, QUICK, Candidate, Effort
+from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, free_parameters, inactive_values
+from bristle.diagnosis.localisation.residual_response import ResidualResponse, response_of
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
-
-Start = tuple[Mapping[str, float], Mapping[str, float]]  # all parameters; those of the effect that move, by short names
-# (of 396 such starts of 34 records none led to the effect that was named, and 4 beyond chance)
-WAVE_STARTS = 8  # finalists among waves of several periods where the model is far off: what one step promises says little there
-LOAD_STARTS_TRIED = 5  # starts of a contact whose load is laid at its best places before they are compared
-
-
-def dry_level(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
-    """Return the dry friction of a model [N.m], or a tenth of the usual torque where it has none."""
-    level = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
-    return level or 0.1 * float(np.mean(np.abs(values["b"] * u)))
+Progress = Callable[[str, float], None]
+Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
+NO_FRICTION_SHARE = 0.1  # of the mean torque of the input: stands for the dry friction of a model without any
+BALANCE_FINALISTS = 2  # start values that are refitted with the noise of the inverse dynamics
+STRENGTH_FACTORS = (1.0, 1.6)  # times the linear estimate of an effect's first parameter, tried where the model fits poorly
 
 
-def evidence(motion: Motion, response: ResidualResponse, fit: Fit, resolution: float, turn: float) -> Evidence:
-    """Return what effects derive their starting values from; `turn` is the path after which a motion begins anew."""
+class JointStart(NamedTuple):
+    """Start values of a model and an effect: `values` by full names, and those of the effect's free parameters."""
+
+    values: Mapping[str, float]
+    own: Start
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """What a caller may set for a search.
+
+    Attributes
+    ----------
+    progress : function
+        Called with an effect's name and the fraction of the round that is done.
+    start_values : mapping of effect to a sequence of start values
+        Tried before those that are derived from the records.
+    exhaustive : collection of str
+        Effects that are refitted from all their start values in each round.
+    test_input_hold : bool
+        If false, the input is taken as held between samples.
+    """
+
+    progress: Progress = lambda text, fraction: None
+    start_values: Mapping[str, Sequence[Start]] = field(default_factory=dict)
+    exhaustive: Collection[str] = ()
+    test_input_hold: bool = True
+
+
+@dataclass(frozen=True)
+class SearchContext:
+    """The fitted model on top of which effects are tried, the records, and what all candidates of a round share."""
+
+    dataset: Dataset
+    fitted: FittedModel
+    options: SearchOptions = SearchOptions()
+
+    @property
+    def fit(self) -> Fit:
+        """Fit of the model without any of the candidates."""
+        return self.fitted.fit
+
+    @cached_property
+    def response(self) -> ResidualResponse:
+        """Response of the model's residual."""
+        return response_of(self.fitted, self.dataset)
+
+    @cached_property
+    def fits_poorly(self) -> bool:
+        """True if the error is so large that noise and start values of the model alone mislead."""
+        return fits_poorly(self.dataset, self.fit)
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What effects derive their start values from."""
+        return evidence_of(self.dataset, self.fit, self.response)
+
+    @cached_property
+    def joint_starts(self) -> Callable[[str], Sequence[JointStart]]:
+        """Function of an effect's name that returns start values of effect and model together, if the model fits poorly."""
+        return joint_starts_of(self, has_diverged(self.dataset, self.fit)) if self.fits_poorly else lambda name: ()
+
+    def start_values(self, name: str, evidence: Evidence) -> list[Start]:
+        """Return start values of an effect: those of the options, and those that it derives from evidence."""
+        derive = find_effect(name).starts
+        assert derive is not None
+        return [*self.options.start_values.get(name, ()), *derive(evidence)]
+
+    def own_noise(self, fit: Fit) -> Problem:
+        """Return the problem under the noise of a fit's residual."""
+        return under_own_noise(self.dataset, fit)
+
+    def screening_noise(self, fit: Fit) -> Problem:
+        """Return the problem under which start values are compared: with the noise of the fit if the model fits poorly.
+
+        Its own noise would then absorb a missing effect, most of all one that changes slowly.
+        """
+        return self.own_noise(fit) if self.fits_poorly and fit.weight.any() else self.fitted.problem
+
+
+def evidence_of(dataset: Dataset, fit: Fit, response: ResidualResponse) -> Evidence:
+    """Return what effects derive their start values from, given the residual of a fit."""
+    m, values = dataset.motion, fit.values
     return Evidence(
-        motion.theta, motion.v * motion.moving, motion.a, motion.u, motion.time, fit.simulator.segments.h, resolution,
-        fit.values["J"], dry_level(fit.free, fit.values, motion.u), fit.values["b"], response.regress, turn,
+        m.theta, m.v * m.moving, m.a, m.u, m.time, fit.simulator.segments.h, dataset.resolution, values["J"],
+        _dry_friction(fit.free, values, m.u), values["b"], response.regress, dataset.turn,
     )  # fmt: skip
 
 
-def start_values(name: str, e: Evidence) -> list[dict[str, float]]:
-    """Return the starting values of an effect from data."""
-    make = find_effect(name).starts
-    assert make is not None
-    return make(e)
+def _dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
+    """Return the dry friction of a model [N.m], or `NO_FRICTION_SHARE` of the mean torque where it has none."""
+    level = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
+    return level or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
 
 
-def bristle_starts(servo: Servo, name: str, fit: Fit) -> list[dict[str, float]]:
-    """Return the bristles that a servo of rigid friction has, for an effect that takes their place.
+def bristle_starts(fitted: FittedModel, name: str) -> list[Start]:
+    """Return the bristles of a rigid friction law as start values of an effect that replaces them.
 
-    They have bent as far as they may to make up for what is missing: no start from data is as near.
+    They have been fitted to make up for the missing effect, so that they are closer than start values from the residual.
     """
-    if name not in BRISTLE_EFFECTS or not servo.rigid:
+    if name not in BRISTLE_EFFECTS or not fitted.servo.rigid:
         return []
     own = [p.name.removeprefix(f"{name}.") for p in find_effect(name).parameters]
-    return [{short: fit.values[f"{OWN_BRISTLES}.{short}"] for short in own}]
+    return [{short: fitted.fit.values[f"{OWN_BRISTLES}.{short}"] for short in own}]
 
 
-def evaluate_starts(
-    problem: Problem,
-    servo: Servo,
-    name: str,
-    fit: Fit,
-    response: ResidualResponse,
-    e: Evidence,
-    quiet: Callable[[Fit], Problem],
-    joint: Sequence[Start] = (),
-    far: bool = False,
-    effort: Effort = QUICK,
-) -> Candidate:
-    """Try an effect from all its starts; where it stands then is the most promising one, and `refit_to_end` goes on from there.
+# -- together with the model ---------------------------------------------------------------------------------------------
+def joint_starts_of(context: SearchContext, diverged: bool) -> Callable[[str], Sequence[JointStart]]:
+    """Return the function that gives start values of an effect together with those of a model that fits poorly.
 
-    `quiet` gives a problem with the noise that a fit leaves: what is missing looks like noise to a model without it, and
-    most of all where it changes slowly. `joint` holds further starts, of the whole model, which is `far` off without the effect.
+    They come from the inverse dynamics or, where the law has internal states, from the nominal model, since the fitted
+    parameters make up for the missing effect. If the model has `diverged`, starts with less dry friction are added.
     """
+    balanced = balanced_model(context.dataset, context.fitted)
+    usual = (lambda name: balance_starts(context, balanced, name)) if balanced.models else _nominal_starts(context)
+    less = reduced_friction_start(context.fitted)
+    if not (less and diverged):
+        return usual
+    return lambda name: [*usual(name), *_joined(less, name, context.start_values(name, context.evidence))]
+
+
+def _nominal_starts(context: SearchContext) -> Callable[[str], list[JointStart]]:
+    """Return the function that gives start values of an effect together with the nominal model."""
+    fitted, dataset = context.fitted, context.dataset
+    nominal = {f.name: f.nominal_value for f in fitted.servo.free if f.nominal is not None}
+    point = Point(fitted.fit.simulator, (), {**fitted.fit.values, **nominal}, fitted.problem.initial)
+    fit = evaluate(fitted.problem, point)
+    evidence = evidence_of(dataset, fit, response_of(replace(fitted, fit=fit), dataset))
+
+    def starts(name: str) -> list[JointStart]:
+        first = find_effect(name).parameters[0].name.removeprefix(f"{name}.")
+        several = [
+            {**start, first: factor * start[first]}
+            for start in context.start_values(name, evidence)
+            for factor in STRENGTH_FACTORS
+            if first in start
+        ]
+        return _joined(nominal, name, several)
+
+    return starts
+
+
+def _joined(values: Mapping[str, float], name: str, starts: Sequence[Start]) -> list[JointStart]:
+    """Return start values of an effect, each together with values of the model."""
+    return [JointStart({**values, **{f"{name}.{k}": v for k, v in start.items()}}, start) for start in starts]
+
+
+def balance_starts(context: SearchContext, model: BalancedModel, name: str) -> list[JointStart]:
+    """Return the parameters with which an effect explains most in the inverse dynamics; none if that does not show it."""
     try:
-        simulator = servo.simulator(fit.simulator.segments, (name,))
-    except BristleError as error:
-        return Candidate(name, None, refused=str(error))
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
-    trials, banks, own = [], [], servo.own(name)
-    ease = REFINEMENT_STEPS if fit.simulator.play else 0  # what a load did without the effect it does not do with it
-    for start in (*start_values(name, e), *bristle_starts(servo, name, fit)):
-        free = free_parameters(name, start, servo.limits)
-        values = {**defaults, **fit.values, **{f"{name}.{k}": v for k, v in start.items()}}
-        values |= {f.name: f.clip(values[f.name]) for f in free}
-        first = refine_initial_states(problem, evaluate(problem, Point(simulator, (*own, *free), values, fit.initial)), ease)
-        banks.append(_bank(response, fit, first, len(free)))
-        trials.append(value_under_noise(first, quiet))
-    for together, moving in joint:
-        free = free_parameters(name, moving, servo.limits)
-        alone = {key: value for key, value in together.items() if key.startswith(f"{name}.")}
-        # with the parameters of the balance, and with those of the simulated model: either may be the better neighbourhood
-        for others, begin in ((dict(together), problem.initial), (alone, fit.initial)):
-            whole = {**defaults, **fit.values, **others}
-            inside = {f.name: f.clip(whole[f.name]) for f in (*own, *free)}
-            first = evaluate(problem, Point(simulator, (*own, *free), whole | inside, begin))
-            trials.append(value_under_noise(refine_initial_states(problem, first, ease), quiet))
-    trials.sort(key=lambda trial: -trial[0])
-    if (
-        has_free_play(name) and trials[0][0] > fit.total - CONTACT_DEFICIT
-    ):  # which is near the truth shows only when the load lies where it may
-        near = [trial for promised, trial in trials[:LOAD_STARTS_TRIED] if promised > fit.total - CONTACT_DEFICIT]
-        trials = sorted((value_under_noise(initialise_load(problem, trial), quiet) for trial in near), key=lambda trial: -trial[0])
-    (promised, best), *rest = trials[: max(effort.starts, WAVE_STARTS if far and find_effect(name).periods else 0)]
-    return Candidate(name, best, tuple(banks), promised, tuple(fit for _, fit in rest))
-
-
-def _bank(response: ResidualResponse, fit: Fit, first: Fit, count: int) -> Array:
-    """Return the directions in which the residual would change: by the effect's parameters and by its mere presence."""
-    present = (first.white - fit.white)[:, :, None]
-    columns = np.concatenate([first.by_parameter[:, :, -count:], present], axis=2)
-    usable = np.isfinite(columns).all(axis=(1, 2), keepdims=True)
-    return directions(response.free_of_model(response.freed(np.where(usable, columns, 0.0))), fit.weight)
-
-
-def joint_starts(dataset: Dataset, model: BalancedModel, name: str) -> list[Start]:
-    """Return the parameters with which an effect explains most in the balance of torques; nothing where that does not show it."""
-    law, effects = model.servo.law, (*model.servo.effects, name)
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
-    found: list[tuple[float, Start]] = []
-    try:
-        for balance, base in model.fits:
-            trials = []
-            for start in start_values(name, _balance_evidence(dataset, model, balance, base)):
-                free = (*model.free, *free_parameters(name, start, model.servo.limits))
-                values = {**defaults, **base.values, **{f"{name}.{k}": v for k, v in start.items()}}
-                trials.append((balance.fit(law, effects, free, values, BALANCE_SCREENING_ITERATIONS), free, start))
-            trials.sort(key=lambda trial: -trial[0].total)
-            for best, free, start in trials[: QUICK.starts]:
-                _, best = model.refit_with_noise(balance, effects, free, best)
-                found.append((best.total, (best.values, {key: best.values[f"{name}.{key}"] for key in start})))
+        found = [
+            each
+            for balance, base in model.fits
+            for each in _balance_fits(
+                model, balance, base, name, context.start_values(name, _balance_evidence(context, model, balance, base))
+            )
+        ]
     except BristleError:
         return []
     return [max(found, key=lambda each: each[0])[1]] if found else []
 
 
-def _balance_evidence(dataset: Dataset, model: BalancedModel, balance: Balance, found: Balanced) -> Evidence:
+def _balance_fits(
+    model: BalancedModel, balance: Balance, base: Balanced, name: str, starts: Sequence[Start]
+) -> list[tuple[float, JointStart]]:
+    """Return the log-likelihood [nats] and the parameters at the best of these start values."""
+    law, effects = model.servo.law, (*model.servo.effects, name)
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
+    trials = []
+    for start in starts:
+        free = (*model.free, *free_parameters(name, start, model.servo.limits))
+        values = {**defaults, **base.values, **{f"{name}.{k}": v for k, v in start.items()}}
+        trials.append((balance.fit(law, effects, free, values, BALANCE_SCREENING_ITERATIONS), free, start))
+    trials.sort(key=lambda trial: -trial[0].total)
+    found = []
+    for best, free, start in trials[:BALANCE_FINALISTS]:
+        _, best = model.refit_with_noise(balance, effects, free, best)
+        found.append((best.total, JointStart(best.values, {key: best.values[f"{name}.{key}"] for key in start})))
+    return found
+
+
+def _balance_evidence(context: SearchContext, model: BalancedModel, balance: Balance, found: Balanced) -> Evidence:
+    """Return what effects derive their start values from, given the residual of the inverse dynamics."""
     m, values = balance.motion, found.values
     _, own = balance.evaluate(model.servo.law, model.servo.effects, model.free, values)
     return Evidence(
-        m.theta, m.v * m.moving, m.a, m.u, m.time, balance.step, dataset.resolution, values["J"],
-        dry_level(model.free, values, m.u), values["b"],
-        lambda torques: balance.regress(found, own, values["J"], torques), dataset.turn,
+        m.theta, m.v * m.moving, m.a, m.u, m.time, balance.step, context.dataset.resolution, values["J"],
+        _dry_friction(model.free, values, m.u), values["b"],
+        lambda torques: balance.regress(found, own, values["J"], torques), context.dataset.turn,
     )  # fmt: skip

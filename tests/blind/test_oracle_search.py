@@ -1,12 +1,10 @@
-"""The search is told an answer, and only as long as it is to know it; what it says then is counted."""
+"""The answer of a case is given to the search as options; what it names then is counted."""
 
 from __future__ import annotations
 
-import pytest
-from oracle_search import table, told
+from oracle_search import known_answer, table
 
-from bristle.diagnosis.selection import candidates
-from bristle.diagnosis.selection import stepwise as search
+from bristle.diagnosis import SearchOptions
 
 ANSWER = {
     "case": 7,
@@ -18,25 +16,16 @@ ANSWER = {
 }
 
 
-def test_an_answer_is_a_start_and_its_effects_are_followed_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(candidates, "start_values", lambda name, _: [{"amplitude": 0.1}])
-    for module in (candidates, search):
-        monkeypatch.setattr(module, "explore", lambda *arguments: arguments[-1])
-        monkeypatch.setattr(module, "advance", lambda *arguments: arguments[-1])
-    before = candidates.start_values, search.starts, search.explore, search.advance
-    with told(ANSWER):
-        assert search.starts("gravity", None) == [{"amplitude": 0.2}, {"amplitude": 0.1}]
-        assert candidates.start_values("gravity", None) == search.starts("gravity", None)
-        assert search.starts("dead_zone", None) == [{"amplitude": 0.1}]  # nothing is known of its parameters
-        for name, effort in (("gravity", candidates.EXHAUSTIVE), ("dead_zone", candidates.EXHAUSTIVE), ("bias", candidates.QUICK)):
-            assert search.explore(None, None, name, candidates.QUICK) is effort
-            assert search.advance(candidates.Candidate(name, None), None, 0.0, candidates.QUICK) is effort
-    assert before == (candidates.start_values, search.starts, search.explore, search.advance)
+def test_an_answer_becomes_start_values_and_effort() -> None:
+    options = SearchOptions(**known_answer(ANSWER))
+    assert options.start_values == {"gravity": [{"amplitude": 0.2}]}  # no parameter of the dead zone is known
+    assert set(options.exhaustive) == {"gravity", "dead_zone"}
+    assert options.test_input_hold
 
 
 def test_what_is_right_when_told_is_counted_apart_from_what_is_refused_even_then() -> None:
     said = {"verdict": "named", "effects": [{"name": "gravity"}], "ties": []}
-    last = {"added": None, "decision": "'dead_zone' is certain but small"}
+    last = {"added": None, "rejected": "dead_zone"}
     refused = said | {"rounds": [last | {"candidates": [{"name": "dead_zone", "gain": 30.0, "level": 10.0}]}]}
     right = said | {"effects": [{"name": "gravity"}, {"name": "dead_zone"}], "rounds": []}
     other = ANSWER | {"case": 8}

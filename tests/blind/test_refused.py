@@ -21,7 +21,7 @@ def test_the_price_of_each_number_of_right_ones() -> None:
 
 def test_what_was_refused_and_whether_it_was_missing() -> None:
     leader = {"name": "bias", "kept": 4.0}
-    last = {"added": None, "decision": "'bias' is certain but small", "candidates": [leader]}
+    last = {"added": None, "rejected": "bias", "candidates": [leader]}
     last |= {"gain": 30.0, "null_level": 10.0, "size": 1.1}
     result = {"verdict": "named", "effects": [{"name": "gravity"}], "rounds": [{"gain": 60.0}, last]}
     alone, both = ({"group": "pair", "effects": [{"class": c} for c in classes]} for classes in (ALONE, BOTH))
@@ -43,12 +43,12 @@ def test_what_was_named_without_a_flag_and_what_its_views_show() -> None:
     assert list(unflagged([(outside, right | {"verdict": "tie"})])) == []
 
 
-def case(classes, named, decision="'hard_stop' is certain but small", **more):
+def case(classes, named, rejected="hard_stop", **more):
     """Return a case of the given truth whose last round tried a stop (30 nats), a bias (20 nats) and no dead zone."""
     answer = {"group": "pair", "effects": [{"class": c, "form": "other"} for c in classes]}
     tried = [{"name": "hard_stop", "gain": 30.0, "level": 10.0}, {"name": "bias", "gain": 20.0, "level": 10.0}]
     tried.append({"name": "dead_zone", "gain": None, "level": 10.0})
-    last = {"added": None, "decision": decision, "candidates": tried}
+    last = {"added": None, "rejected": rejected, "candidates": tried}
     return answer, {"verdict": "named", "effects": [{"name": n} for n in named], "ties": [], "rounds": [last | more]}
 
 

@@ -13,7 +13,7 @@ from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.estimation.fitted_model import balanced_model, fit_with_noise
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, limits
 from bristle.diagnosis.selection.discretisation import numerical, steady
-from bristle.diagnosis.selection.start_values import joint_starts
+from bristle.diagnosis.selection.start_values import SearchContext, balance_starts
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +22,8 @@ def joint(measured: Callable[..., Any]) -> Callable[[dict[str, Any], str], Any]:
         model = Model.from_dict(tree)
         records = records_from_arrays(model, [("run", *measured(name, 1)[:3])])
         dataset = dataset_of(model, records)
-        balanced = balanced_model(dataset, fit_with_noise(dataset, *base_servo_of(model, dataset)))
-        return partial(joint_starts, dataset, balanced)
+        fitted = fit_with_noise(dataset, *base_servo_of(model, dataset))
+        return partial(balance_starts, SearchContext(dataset, fitted), balanced_model(dataset, fitted))
 
     return make
 

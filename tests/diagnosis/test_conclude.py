@@ -12,7 +12,7 @@ from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.report.result import Estimate, Gap
 from bristle.diagnosis.report.text import undetected
 from bristle.diagnosis.selection.candidates import Candidate
-from bristle.diagnosis.selection.criterion import SearchRound
+from bristle.diagnosis.selection.criterion import Outcome, SearchRound
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
 
@@ -22,7 +22,8 @@ QUIET, LEFT = Unexplained(False, None, 0.0), Unexplained(True, "theta", 0.5)
 
 def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: bool = False) -> SearchRound:
     candidate = Candidate(best, None) if best else None
-    return SearchRound((), Null(np.zeros(1), {}), 0.0, candidate, 20.0, 1.1, ties, "", withdrawn=withdrawn)
+    outcome: Outcome = "withdrawn" if withdrawn else "none"
+    return SearchRound((), Null(np.zeros(1), {}), 0.0, candidate, 20.0, ties, outcome=outcome)
 
 
 @pytest.mark.parametrize(
@@ -69,8 +70,8 @@ def test_what_ends_at_a_bound_is_not_told() -> None:
 
 def test_what_may_be_chosen_is_an_open_tie_or_what_the_last_name_stands_for() -> None:
     tried = tuple(Candidate(name, None) for name in ("bias", "asymmetric_coulomb", "gravity"))
-    first = replace(round_of("bias", ("asymmetric_coulomb",)), candidates=tried, named=True)
-    second = replace(round_of("gravity"), candidates=tried, named=True)
+    first = replace(round_of("bias", ("asymmetric_coulomb",)), candidates=tried, outcome="added")
+    second = replace(round_of("gravity"), candidates=tried, outcome="added")
     last = replace(round_of(), candidates=tried)
 
     def names(rounds: list[SearchRound], undecided: tuple[str, ...], named: tuple[str, ...]) -> list[str]:

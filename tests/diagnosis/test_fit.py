@@ -15,6 +15,7 @@ from bristle.diagnosis.estimation.optimiser import refit, refit_initial_states, 
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.estimation.uncertainty import covariance
 from bristle.diagnosis.localisation.residual_response import response_of
+from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.diagnosis.selection.stepwise import evaluate_candidates
 
 TRUE = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
@@ -32,7 +33,7 @@ HIDDEN = {  # effect: (parameters it was simulated with, largest error relative 
 
 def joined(case, name):
     """An effect refitted from its own starts, on top of a model that lacks it, under the noise it leaves."""
-    [found] = evaluate_candidates(case.dataset, case.base, [name], lambda text, share: None).candidates
+    [found] = evaluate_candidates(SearchContext(case.dataset, case.base), [name]).candidates
     return found
 
 

@@ -22,7 +22,7 @@ from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, w
 from bristle.diagnosis import preparation as prepare
 from bristle.diagnosis.estimation import fitted_model as fitting_module
 from bristle.diagnosis.modelfile import write_model
-from bristle.diagnosis.workflow import retried, teller
+from bristle.diagnosis.workflow import teller
 from bristle.fmus import build
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
@@ -244,7 +244,7 @@ def test_any_law_input_and_output(
         assert found.effects[0].parameters["amplitude"].value == pytest.approx(0.3, rel=0.03)
 
 
-def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwards() -> None:
+def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwards(model: Model, plain: list[Columns]) -> None:
     """Several sum in another order, so that a notebook's digits would not be the command line's."""
     seen: list[set[int]] = []
 
@@ -252,8 +252,9 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
         return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
 
     with threadpool_limits(2, user_api="blas"):
-        retried(lambda records, begun: seen.append(threads()), ())  # type: ignore[arg-type,return-value]  # it asks nothing of the records
-        assert seen == [{1}]
+        diagnose(model, records_from_arrays(model, [("r", *plain[0])]), lambda text, share: seen.append(threads()))
+        assert seen
+        assert all(each == {1} for each in seen)
         assert threads() == {2}
 
 
