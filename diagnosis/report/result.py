@@ -160,6 +160,8 @@ class Diagnosis:
         Of each member of a tie, as if it had been named: its parameters.
     choice_parameters : dict of str to dict of str to Estimate
         The same of the parameters of the model beside it.
+    input_share : float, optional
+        Share of the next sample in the mean input between two samples; None if the input was held.
     """
 
     verdict: str
@@ -182,7 +184,7 @@ class Diagnosis:
     seconds: float = 0.0
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
-    input_share: float | None = None  # of the next sample in the input between two samples; None if it was held
+    input_share: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""

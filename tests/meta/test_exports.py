@@ -19,8 +19,8 @@ PUBLIC = {
     ],
     "bristle.common.units": ["Unit", "convert", "parse_unit", "per_second", "quantity"],
     "bristle.diagnosis": [
-        "BristleError", "Diagnosis", "Model", "Record", "diagnose", "diagnose_fmu", "fmu_model", "load_model", "load_records",
-        "records_from_arrays", "write",
+        "BristleError", "Diagnosis", "Model", "Record", "SearchOptions", "diagnose", "diagnose_fmu", "fmu_model", "load_model",
+        "load_records", "records_from_arrays", "write",
     ],
     "bristle.fmus": ["build", "obtain"],
     "bristle.model.native": ["Native"],
