@@ -95,7 +95,6 @@ def conclude(
         traces=_traces(dataset, base.fit, final.fit),
         model=model,
         seconds=time.perf_counter() - begun,
-        input_share=next((r.ahead for r in records if r.ahead), None),
         choices={n: {k.removeprefix(f"{n}."): v for k, v in e.items() if k.startswith(f"{n}.")} for n, e in choices.items()},
         choice_parameters={n: {k: v for k, v in e.items() if not k.startswith(f"{n}.")} for n, e in choices.items()},
     )

@@ -160,8 +160,6 @@ class Diagnosis:
         Of each member of a tie, as if it had been named: its parameters.
     choice_parameters : dict of str to dict of str to Estimate
         The same of the parameters of the model beside it.
-    input_share : float, optional
-        Share of the next sample in the mean input between two samples; None if the input was held.
     """
 
     verdict: str
@@ -184,7 +182,6 @@ class Diagnosis:
     seconds: float = 0.0
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
-    input_share: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
@@ -215,7 +212,6 @@ class Diagnosis:
                 "undetected": dict(self.undetected),
                 "choices": {n: {k: asdict(v) for k, v in found.items()} for n, found in self.choices.items()},
                 "seconds": self.seconds,
-                "input_share": self.input_share,
             }
         )  # fmt: skip
         return content
