@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from bristle.common.cache import cached, digest
 from bristle.common.errors import BristleError
+from bristle.common.plugins import plugin_files
 from bristle.model.compiler import FLAGS, compiler_identity
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ FMU_NAMES = ("plant", "observer", "controller")
 VARIANT_OPTION = {"plant": "law", "observer": "method"}  # what one variant alone is chosen by
 HASHED_PACKAGES = ("bristle.common", "bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
 HASHED_DISTRIBUTIONS = ("bristle", "casadi", "fmpy", "pythonfmu")
+HASHED_PLUGINS = ("laws", "effects", "observers")  # sub-folders of plug-in folders whose files an FMU may contain
 
 
 def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None, effects: Sequence[str]) -> str | None:
@@ -115,6 +117,7 @@ def _sources(package: str) -> list[str | bytes]:
 
 def _key(kind: str, *arguments: object) -> str:
     sources = [part for name in HASHED_PACKAGES for part in _sources(name)]
+    sources += [part for each in HASHED_PLUGINS for path in plugin_files(each, ".py") for part in (str(path), path.read_bytes())]
     made_by = (*FLAGS, compiler_identity()) if kind == "native" else ()
     return digest(*sources, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments)))
 

@@ -7,16 +7,16 @@ from importlib.resources import files
 from pathlib import Path
 
 from bristle.common.output import output_folder
+from bristle.common.plugins import plugin_files
 from bristle.fmus.host import Fmu
 
 
 def scenarios() -> dict[str, str]:
-    """Return the titles of the scenarios that come with bristle, by name."""
-    found = {}
-    for entry in sorted(files("bristle.scenarios").iterdir(), key=lambda e: e.name):
-        if entry.name.endswith(".toml"):
-            found[entry.name.removesuffix(".toml")] = str(tomllib.loads(entry.read_text(encoding="utf-8")).get("title", ""))
-    return found
+    """Return the titles of the scenarios that come with bristle, and of those in plug-in folders, by name."""
+    own = [entry for entry in files("bristle.scenarios").iterdir() if entry.name.endswith(".toml")]
+    found = sorted([*own, *plugin_files("scenarios", ".toml")], key=lambda entry: entry.name)
+    titles = (tomllib.loads(entry.read_text(encoding="utf-8")).get("title", "") for entry in found)
+    return {entry.name.removesuffix(".toml"): str(title) for entry, title in zip(found, titles, strict=True)}
 
 
 def _choices(what: str, selector: str) -> dict[str, str]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-
 from bristle.common.errors import BristleError
+from bristle.common.plugins import catalogue_modules
 from bristle.model.program import Program
 from bristle.model.variables import unique
 from bristle.observer.method import Method, observer
@@ -15,8 +13,7 @@ __all__ = ["methods", "observer_program"]
 
 def methods() -> dict[str, Method]:
     """Return all methods by name, in alphabetical order of their files."""
-    modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    found = [getattr(importlib.import_module(f"{__name__}.{name}"), "METHOD", None) for name in modules]
+    found = [getattr(module, "METHOD", None) for module, _ in catalogue_modules(__name__, __path__, "observers")]
     return unique([method for method in found if method is not None], "observer")
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Collection
 from functools import cache
 
 from bristle.common.errors import BristleError
+from bristle.common.plugins import catalogue_modules
 from bristle.plant.effect import Effect
 from bristle.plant.wording import ROTARY, Wording
 
@@ -19,10 +18,10 @@ def _catalogue(wording: Wording) -> dict[str, Effect]:
     """Return what the files here declare, checked, so that a mistake in one is reported at once with its file."""
     files: dict[str, str] = {}
     found = []
-    for module in sorted(module.name for module in pkgutil.iter_modules(__path__)):
-        effect, file = getattr(importlib.import_module(f"{__name__}.{module}"), "EFFECT", None), f"plant/effects/{module}.py"
+    for module, file in catalogue_modules(__name__, __path__, "effects"):
+        effect = getattr(module, "EFFECT", None)
         if not isinstance(effect, Effect):
-            raise BristleError(f"{file}: no EFFECT; a file there declares one, so put helpers into plant/")
+            raise BristleError(f"{file}: no EFFECT; a file there declares one, so put helpers elsewhere")
         if effect.name in files:
             raise BristleError(f"{file}: EFFECT is called '{effect.name}', as in {files[effect.name]}; give it a name of its own")
         for parameter in effect.parameters:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-
 from bristle.common.errors import BristleError
+from bristle.common.plugins import catalogue_modules
 from bristle.model.variables import unique
 from bristle.plant.law import FrictionLaw
 
@@ -14,8 +12,7 @@ __all__ = ["law", "laws"]
 
 def laws() -> dict[str, FrictionLaw]:
     """Return all laws by name, in alphabetical order of their files."""
-    modules = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    found = [getattr(importlib.import_module(f"{__name__}.{name}"), "LAW", None) for name in modules]
+    found = [getattr(module, "LAW", None) for module, _ in catalogue_modules(__name__, __path__, "laws")]
     return unique([law for law in found if law is not None], "friction law")
 
 

@@ -72,7 +72,7 @@ def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
     program = Program("Every_diagnosed", systems, "case")
 
     def run(name: str = "bias", seed: int = 1, **given: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        values = {"torque": 0.0} if given.pop("plain", None) else STRONG[name] | given
+        values = {"torque": 0.0} if given.pop("plain", None) else STRONG.get(name, {}) | given
         setting = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "u_max": 1e6}
         native = Native(program, setting | {f"{name}.{key}": value for key, value in values.items()}, name)
         rng = np.random.default_rng(seed)

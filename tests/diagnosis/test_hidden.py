@@ -20,6 +20,7 @@ from bristle.harness.catalogue import scenarios
 from bristle.plant.effects import effects
 
 ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))["effects"]
 HIDDEN = ROOT / "scenarios" / "hidden"
 CASES = sorted(path for path in HIDDEN.iterdir() if path.is_dir())
 NEEDED = {"torque"}  # the name of a parameter too, but every model says what its input is
@@ -49,8 +50,8 @@ def blank(text: str) -> str:
 
 def forbidden() -> set[str]:
     """Return the names of all effects and of their parameters."""
-    parameters = {p.name.removeprefix(f"{name}.") for name, effect in effects().items() for p in effect.parameters}
-    return {*effects(), *parameters} - NEEDED
+    parameters = {p.name.removeprefix(f"{name}.") for name in SHIPPED for p in effects()[name].parameters}
+    return {*SHIPPED, *parameters} - NEEDED
 
 
 def test_the_seal_is_intact_and_a_changed_answer_breaks_it(scorer: ModuleType, tmp_path: Path) -> None:
@@ -67,7 +68,7 @@ def test_the_seal_is_intact_and_a_changed_answer_breaks_it(scorer: ModuleType, t
 def test_every_effect_is_hidden_somewhere(answers: dict[str, Any]) -> None:
     assert sorted(answers) == [folder.name for folder in CASES]
     single = [e["name"] for answer in answers.values() if answer["kind"] == "single" for e in answer["effects"]]
-    assert sorted(single) == sorted(effects())
+    assert sorted(single) == sorted(SHIPPED)
     kinds = [answer["kind"] for answer in answers.values()]
     assert [kinds.count(kind) for kind in ("control", "outside", "pair")] == [2, 1, 1]
 
@@ -83,7 +84,7 @@ def test_no_text_beside_the_answers_names_an_effect_or_a_parameter(scorer: Modul
             assert path.is_dir() or path.suffix == ".npz" or path.name == scorer.SEALED, path
         for text in texts:
             assert not names & set(re.findall(r"[a-z0-9_]+", text.lower())), path
-    for name in effects():
+    for name in SHIPPED:
         assert name.encode() not in (HIDDEN / scorer.SEALED).read_bytes()
 
 

@@ -1,6 +1,7 @@
-"""Effects: each composes with each law, differentiates exactly, and follows its equation, typed here a second time."""
+"""Effects: each composes with each law and differentiates exactly; those shipped follow their equations, typed a second time."""
 
 import math
+import tomllib
 from functools import cache
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -17,30 +18,20 @@ from bristle.model.program import Program
 from bristle.model.python import python_tables
 from bristle.model.runtime import Core
 from bristle.plant import effects as catalogue
-from bristle.plant.effect import VIEWS, Context
+from bristle.plant.effect import VIEWS, Context, Evidence, RecordedMotion
 from bristle.plant.effects import effect, effects
 from bristle.plant.friction import law, laws
 from bristle.plant.servo import servo, servo_program
 
 H = 1e-3
 J, B, A2, FC = 0.001, 0.0065, 0.002, 0.004  # the defaults of the servo and of the law
-CATALOGUE = (
-    "bias, asymmetric_coulomb, quadratic_drag, stribeck, presliding, bristle_damping, cogging, gravity, dead_zone, saturation, "
-    "gain_asymmetry, input_delay, electrical_pole, backlash, compliance, load_friction, hard_stop, friction_drift, "
-    "disturbance_step, eccentric_encoder, position_friction, back_emf"
-)
-NAMES = tuple(CATALOGUE.split(", "))
+LISTS = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))
+SHIPPED, SHIPPED_LAWS = tuple(LISTS["effects"]), tuple(LISTS["laws"])
+NAMES = tuple(effects())  # and extensions, which owe no more than what the tests of all names ask for
 GROUPS = ({"bias", "asymmetric_coulomb"}, {"input_delay", "electrical_pole"}, {"presliding", "bristle_damping"})
-# the parameter whose derivative is tested, and the value that turns the effect off, where there is one
-STRENGTH = {
-    "bias": ("torque", 0.0), "asymmetric_coulomb": ("share", 0.0), "quadratic_drag": ("coefficient", 0.0),
-    "stribeck": ("excess", 0.0), "presliding": ("stiffness", None), "bristle_damping": ("damping", None),
-    "cogging": ("amplitude", 0.0), "gravity": ("amplitude", 0.0), "dead_zone": ("width", 0.0), "saturation": ("limit", 1e6),
-    "gain_asymmetry": ("share", 0.0), "input_delay": ("delay", 0.0), "electrical_pole": ("time_constant", None),
-    "backlash": ("stiffness", None), "compliance": ("stiffness", None), "load_friction": ("coefficient", 0.0),
-    "hard_stop": ("stiffness", 0.0), "friction_drift": ("rate", 0.0), "disturbance_step": ("torque", 0.0),
-    "eccentric_encoder": ("amplitude", 0.0), "position_friction": ("amplitude", 0.0), "back_emf": ("constant", 0.0),
-}  # fmt: skip
+# the parameter whose derivative is tested: the first one, but for these
+STRENGTH = {"bristle_damping": "damping", "backlash": "stiffness", "compliance": "stiffness"}
+ALWAYS_ACTING = {"presliding", "bristle_damping", "electrical_pole", "backlash", "compliance"}  # no values at which they do nothing
 SETTING = {"hard_stop.upper": 0.05, "disturbance_step.onset": 0.1, "backlash.play": 0.01, "saturation.limit": 2.5}
 SCALING = {"asymmetric_coulomb", "stribeck", "friction_drift", "position_friction"}
 BRISTLES = {"presliding", "bristle_damping"}
@@ -49,7 +40,7 @@ REFUSED |= {(name, other.name) for name in BRISTLES for other in laws().values()
 
 
 def strength(name):
-    return f"{name}.{STRENGTH[name][0]}"
+    return f"{name}.{STRENGTH[name]}" if name in STRENGTH else effect(name).parameters[0].name
 
 
 def setting(name):
@@ -72,25 +63,30 @@ def plain(law_name):
     return servo_program(law_name, encoder=False)
 
 
+def joined(name, law_name):
+    """The servo of a law and an effect, or None where they cannot be combined."""
+    try:
+        system = servo(law(law_name), True, [effect(name)])
+    except BristleError:
+        return None
+    system.name = name
+    return system
+
+
 @cache
 def every(law_name):
     """All effects that join a law, behind a selector, so that they are compiled at once."""
-    systems = []
-    for name in NAMES:
-        if (name, law_name) not in REFUSED:
-            systems.append(servo(law(law_name), True, [effect(name)]))
-            systems[-1].name = name
-    return Program(f"Every_{law_name}", systems, "case")
+    return Program(f"Every_{law_name}", [system for name in NAMES if (system := joined(name, law_name))], "case")
 
 
 # -- declarations --------------------------------------------------------------------------------------------------------
 
 
-def test_names_are_the_catalogue():
-    assert set(effects()) == set(NAMES)
-    assert len(NAMES) == 22
+def test_what_is_shipped_is_the_catalogue():
+    assert set(SHIPPED) <= set(effects())
+    assert len(SHIPPED) == len(set(SHIPPED)) == 22
     assert list(effects()) == sorted(effects())
-    assert set(STRENGTH) == set(NAMES)
+    assert {name for name in SHIPPED if not effect(name).off} == ALWAYS_ACTING
 
 
 @pytest.mark.parametrize(
@@ -120,7 +116,11 @@ def test_a_mistake_in_a_file_of_an_effect_is_told_with_the_file(file, old, new, 
 def test_each_effect_is_declared_in_full(name):
     e = effect(name)
     assert e.name == name
-    assert set(e.group.split("/")) == next((g for g in GROUPS if name in g), {name})
+    members = e.group.split("/")
+    assert name in members
+    assert all(effect(other).group == e.group for other in members)
+    if name in SHIPPED:
+        assert set(members) == next((g for g in GROUPS if name in g), {name})
     assert all(p.name.startswith(f"{name}.") for p in e.parameters)
     assert strength(name) in [p.name for p in e.parameters]
     assert set(e.residual) <= set(VIEWS)
@@ -128,6 +128,14 @@ def test_each_effect_is_declared_in_full(name):
     assert e.excitation
     assert e.equation
     assert set(e.confounded) <= set(NAMES) - {name}
+    shorts = {p.name.removeprefix(f"{name}.") for p in e.parameters}
+    named = {e.free_play, e.periods} - {""}
+    assert {*e.off, *e.unused, *e.search_interval, *e.second_term, *e.shape_parameters, *named} <= shorts
+    assert "stiffness" in shorts or not (e.bristles or e.free_play)  # a diagnosis compares it with that of the servo
+    for p in e.parameters:
+        assert p.minimum <= p.default <= p.maximum
+        low, high = e.search_interval.get(p.name.removeprefix(f"{name}."), (p.minimum, p.maximum))
+        assert p.minimum <= low < high <= p.maximum
     slots = (e.command, e.drive, e.torque, e.factor, e.bound, e.output, e.coupling, e.bristles)
     assert sum(slot is not None for slot in slots) == 1
 
@@ -152,6 +160,45 @@ def test_what_is_in_one_class_is_confounded():
             assert group - {name} <= set(effect(name).confounded)
 
 
+def moved():
+    """A motion of some seconds with reversals, as arrays (n,): position, velocity, acceleration, input and time."""
+    t = H * np.arange(6000)
+    theta = 2.0 * np.sin(2.0 * t) + 0.7 * np.sin(11.0 * t + 0.4)
+    v, a = np.gradient(theta, H), np.gradient(np.gradient(theta, H), H)
+    return theta, v, a, 1.5 * np.sin(5.0 * t) + 0.3 * v, t
+
+
+@pytest.mark.parametrize("residual", ["noise", "none"])
+@pytest.mark.parametrize("name", NAMES)
+def test_start_values_are_finite_numbers_of_its_parameters(name, residual):
+    """Also where nothing is left to explain, for which the regression returns zeros."""
+    theta, v, a, u, t = moved()
+    left = np.random.default_rng(1).normal(0.0, 0.01, len(t)) * (residual == "noise")
+
+    def regress(torques):
+        found = np.linalg.lstsq(torques, left, rcond=None)[0]
+        return found, 0.5 * float(np.sum((torques @ found) ** 2))
+
+    e = effect(name)
+    starts = e.starts(Evidence(theta, v, a, u, t, H, 1e-4, J, FC, B, regress))
+    shorts = {p.name.removeprefix(f"{name}.") for p in e.parameters}
+    assert starts
+    for start in starts:
+        assert set(start) <= shorts
+        assert all(math.isfinite(value) for value in start.values())
+
+
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_from_records_are_intervals_of_its_parameters(name, linear):
+    theta, v, _, u, t = moved()
+    motion = RecordedMotion(theta, v, u, t, float(np.ptp(theta)) if linear else 2 * math.pi, 0.4, linear)
+    declared = {p.name: p for p in effect(name).parameters}
+    for make in (effect(name).limits, effect(name).credible):
+        for key, (low, high) in effect(name).by_full_name(make(motion) if make else {}).items():
+            assert max(low, declared[key].minimum) < min(high, declared[key].maximum), key
+
+
 # -- composition -----------------------------------------------------------------------------------------------------------
 
 
@@ -168,7 +215,8 @@ def test_every_effect_joins_every_law_or_is_refused(law_name):
             assert text.startswith(f"effect '{name}' ")
             assert f"'{law_name}'" in text
             assert ";" in text
-    assert allowed == {name for name in NAMES if (name, law_name) not in REFUSED}
+    if law_name in SHIPPED_LAWS:
+        assert allowed & set(SHIPPED) == {name for name in SHIPPED if (name, law_name) not in REFUSED}
 
 
 @pytest.mark.parametrize("law_name", list(laws()))
@@ -190,11 +238,11 @@ def test_without_strength_it_is_the_plain_servo(law_name):
     size = np.ptp(base, axis=0)
     for variant in program.variants:
         name = variant.system.name
-        if STRENGTH[name][1] is not None:
-            off = setting(name) | {strength(name): STRENGTH[name][1]}
+        if effect(name).off:
+            off = setting(name) | effect(name).by_full_name(effect(name).off)
             found, _ = Native(program, off, name).run(H, {"u": u}, ["theta", "v", "F", "theta_enc", "v_enc"])
-            # load friction makes the viscous law set-valued, which is integrated in steps of its own, to second order
-            limit = 1e-6 if (name, law_name) == ("load_friction", "viscous") else 1e-12
+            # a bound makes the viscous law set-valued, which is integrated in steps of its own, to second order
+            limit = 1e-6 if effect(name).bound and law_name == "viscous" else 1e-12
             assert np.all(np.abs(found - base)[:, :3] <= limit * size[:3]), name
             assert limit > 1e-12 or np.all(found[:, 3:] == base[:, 3:]), name
 
@@ -208,7 +256,11 @@ def test_pairs_compose_or_are_refused():
             refused.add(frozenset(pair))
         else:
             assert all(p.name in system.parameters for name in pair for p in effect(name).parameters)
-    assert refused == {frozenset({"presliding", "bristle_damping"}), frozenset({"backlash", "compliance"})}
+    shipped = {pair for pair in refused if pair <= set(SHIPPED)}
+    assert shipped == {
+        frozenset({"presliding", "bristle_damping"}),
+        frozenset({"backlash", "compliance"}),
+    }
 
 
 def test_the_order_in_which_effects_are_named_does_not_matter():
