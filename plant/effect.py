@@ -16,7 +16,7 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
 from bristle.plant.wording import Wording
 
-__all__ = ["Context", "Coupling", "Effect", "Evidence", "power"]
+__all__ = ["Context", "Coupling", "Effect", "Evidence", "Limits", "RecordedMotion", "power"]
 
 SX = ca.SX
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from bristle.common.plugins import catalogue_modules
 from bristle.plant.effect import Effect
 from bristle.plant.wording import ROTARY, Wording
 
-__all__ = ["effect", "effects"]
+__all__ = ["effect", "effects", "separation"]
 
 
 @cache

@@ -32,8 +32,8 @@ PUBLIC = {
         "EquationContext", "Method", "Sample", "Update", "observer", "stack", "stack_symmetric", "symmetric_states", "unstack",
         "unstack_symmetric", "vector_states",
     ],
-    "bristle.plant.effect": ["Context", "Coupling", "Effect", "Evidence", "power"],
-    "bristle.plant.effects": ["effect", "effects"],
+    "bristle.plant.effect": ["Context", "Coupling", "Effect", "Evidence", "Limits", "RecordedMotion", "power"],
+    "bristle.plant.effects": ["effect", "effects", "separation"],
     "bristle.plant.friction": ["law", "laws"],
     "bristle.plant.law": [
         "Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth",
