@@ -36,9 +36,14 @@ class ModelTable(LayoutTable):
     """A model file, checked as far as it can be without looking at the friction law."""
 
     friction: str
+    """Friction law of the model."""
     parameters: dict[str, Any]
+    """Nominal value of each parameter: `J`, `a2`, those of the law and, for a voltage or current, `b`."""
     bounds: dict[str, Any] | None = None
+    """[least, greatest] of each parameter that may change; the others stay. Without it inertia, viscous friction and the levels of
+    dry friction may change by a factor of 5 either way."""
     effects: dict[str, dict[str, Given]] = Field(default={})
+    """Effects that the model has already, each a table `[effects.NAME]` of its parameters."""
 
 
 # -- the model -----------------------------------------------------------------------------------------------------------

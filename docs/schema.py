@@ -20,7 +20,7 @@ RELATIONS = {Ge: ("ge", "≥"), Gt: ("gt", ">"), Le: ("le", "≤"), Lt: ("lt", "
 
 def key_tables(section: type[Section], choices: Choices, path: str = "", level: int = 2) -> Iterator[str]:
     """Yield the lines of a Markdown page: a table of keys for a section of the file and for every table inside."""
-    yield from (f"{'#' * level} `{path}`" if path else f"{'#' * level} Top level", "", (section.__doc__ or "").strip(), "")
+    yield from (f"{'#' * level} `{path}`", "", (section.__doc__ or "").strip(), "") if path else (f"{'#' * level} Top level", "")
     yield from ("| key | type | unit | default | allowed | meaning |", "|---|---|---|---|---|---|")
     inner = []
     for name, field in section.model_fields.items():
@@ -84,11 +84,11 @@ def _kind(annotation: Any) -> str:
     if origin is tuple:
         return "[" + ", ".join(_kind(part) for part in inside) + "]"
     if origin is dict:
-        return "table of " + _kind(inside[1])
+        return "table" if inside[1] is Any else "table of " + _kind(inside[1])
     if origin in (Union, types.UnionType) and set(inside) == VALUE:
         return "value"
     if origin in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_kind(part) for part in inside))
+        return " or ".join(dict.fromkeys(_kind(part) for part in inside if part is not type(None)))
     return SIMPLE.get(plain, "any value")
 
 
