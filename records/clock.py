@@ -1,4 +1,4 @@
-"""The time of a record: what is wrong with it, and one sampling period for all records."""
+"""The time of a record, made uniform, and one sampling period for all records."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WHOLE_INTERVALS = 0.2  # intervals: deviation from a whole number up to which a 
 
 
 def increasing(raw: Raw) -> None:
-    """Leave out repeated time stamps, if they are few; refuse a time that runs back."""
+    """Leave out repeated time stamps, if they are few; refuse a time that falls."""
     steps = np.diff(raw.time)
     if (steps < 0).any():
         k = int(np.argmax(steps < 0)) + 1
@@ -55,7 +55,11 @@ def period_of(raw: Raw, shortest: float, longest: float) -> float:
 
 
 def clock(raw: Raw) -> tuple[Array, float, bool]:
-    """Return time, sampling period, and whether the samples still have to be interpolated to a uniform time."""
+    """Return time [s], sampling period [s], and whether the samples still have to be interpolated to a uniform time.
+
+    A time is taken as uniform if its intervals differ little from their mean, or if it is uniform up to the digits in which it
+    is written. Other intervals are interpolated if they scatter moderately, apart from missing samples.
+    """
     n, steps = len(raw.time), np.diff(raw.time)
     grid = np.linspace(raw.time[0], raw.time[-1], n)
     h = float(grid[-1] - grid[0]) / (n - 1)
@@ -77,7 +81,7 @@ def clock(raw: Raw) -> tuple[Array, float, bool]:
         )
     if missing.any():
         where = f"{int(missing.sum())} places (first after {raw.time[np.argmax(missing)]:.6g} s)"
-        raw.say(f"one or two samples are missing at {where}; bridged")
+        raw.say(f"one or two samples are missing at {where}; interpolated")
     raw.say(f"sampling intervals scatter by {rms:.1%} rms about {ordinary:.4g} s; interpolated to uniform ones")
     return raw.time, ordinary, True
 
@@ -98,8 +102,8 @@ def one_rate(records: list[Record]) -> list[Record]:
 
 
 def must_agree(records: Sequence[Record]) -> None:
-    """Refuse records whose time is not uniform, or whose sampling periods differ: nothing later looks at that again."""
-    how = "records_from_arrays brings time and rate in order"
+    """Refuse records, made by hand maybe, whose time is not uniform or whose sampling periods differ."""
+    how = "use records_from_arrays, which makes time and rate uniform"
     for record in records:
         off = np.abs(np.diff(record.time) - record.h) > UNIFORM_TOLERANCE * record.h
         if off.any():

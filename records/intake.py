@@ -108,6 +108,7 @@ def load_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
     BristleError
         One line: what, where, what is allowed, what to do.
     """
+    _must_be_layout(layout)
     given: object = paths
     listed: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
     if not listed:
@@ -148,6 +149,7 @@ def records_from_arrays(
     BristleError
         One line: what, where, what is allowed, what to do.
     """
+    _must_be_layout(layout)
     if not isinstance(arrays, Iterable):
         raise BristleError("the records are no list; give one of (name, time, u, y)")
     return _records(layout, _raw_records(arrays), needs)
@@ -168,6 +170,11 @@ def must_show(layout: Layout, records: Sequence[Record], needs: Requirements) ->
     if len(still) == len(records):
         raise still[0]
     _must_be_driven(layout, records, records[0].name)
+
+
+def _must_be_layout(layout: object) -> None:
+    if not isinstance(layout, Layout):
+        raise BristleError(f"the layout is a {type(layout).__name__}; give a Layout, or a model that load_model returns")
 
 
 def _read(layout: Layout, path: Path) -> list[Array]:
@@ -191,8 +198,6 @@ def _raw_records(entries: Iterable[object]) -> Iterator[Raw]:
 # -- records together ----------------------------------------------------------------------------------------------------
 def _records(layout: Layout, raws: Iterable[Raw], needs: Requirements) -> list[Record]:
     """Check and repair records, and bring them to one sampling period."""
-    if not isinstance(layout, Layout):
-        raise BristleError(f"the layout is a {type(layout).__name__}; give a Layout, or a model that load_model returns")
     records: list[Record] = []
     before: dict[str, list[Array]] = {}
     origin: float | None = None

@@ -1,4 +1,4 @@
-"""The step in which values are written: that of a sensor, or of a printed time."""
+"""The resolution of a column: the step of a sensor, or of the digits of a written time."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from bristle.common.table import Array
 
 
 def common_step(values: Array) -> float | None:
-    """Return the step whose multiples nearly all values are (from the smallest on), None if there is none."""
+    """Return the step of which nearly all values, counted from the smallest, are multiples; None if there is none."""
     distinct = np.unique(values)
     distinct = distinct - distinct[0]
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-12 * max(1.0, float(np.max(np.abs(values))))]
     if len(gaps) < 2:
         return None
-    # most neighbours are one step apart, but a spike lies anywhere, and some steps come in twos and threes only
+    # most distinct neighbours are one step apart, but an outlier is not, and some readings change by two or three steps only
     for start in dict.fromkeys((float(np.min(gaps)), float(np.median(gaps)))):
         for divisor in (1.0, 2.0, 3.0):
             step = _refined(start / divisor, gaps, distinct)
@@ -26,14 +26,14 @@ def common_step(values: Array) -> float | None:
 
 def _refined(step: float, gaps: Array, distinct: Array) -> float | None:
     """Return the step that fits gaps and values best, None if more than one in a hundred is no multiple of it."""
-    reach = 8.0
-    while True:  # small multiples fix the step roughly, larger ones ever better
-        near = np.concatenate([gaps[gaps < reach * step], distinct[distinct < reach * step]])
-        count = np.round(near / step)
-        good = np.abs(near / step - count) < 0.1
-        if not (count * good).any() or np.mean(~good) > 0.01:
+    range_steps = 8.0
+    while True:  # small multiples give a rough step, larger ones refine it
+        within = np.concatenate([gaps[gaps < range_steps * step], distinct[distinct < range_steps * step]])
+        count = np.round(within / step)
+        fits = np.abs(within / step - count) < 0.1
+        if not (count * fits).any() or np.mean(~fits) > 0.01:
             return None
-        step = float(count[good] @ near[good] / (count[good] @ count[good]))
-        if reach * step > distinct[-1]:
+        step = float(count[fits] @ within[fits] / (count[fits] @ count[fits]))
+        if range_steps * step > distinct[-1]:
             return step
-        reach *= 4.0
+        range_steps *= 4.0

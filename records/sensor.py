@@ -65,7 +65,7 @@ def report_steps(layout: Layout, records: list[Record]) -> list[Record]:
 
 
 def must_move(layout: Layout, raw: Raw, resolution: float | None) -> None:
-    """Refuse an output that stays within a few of its steps, or is nothing but noise."""
+    """Refuse an output whose range is a few steps of its resolution, or that is nothing but noise."""
     span, unit = float(np.ptp(raw.y)), layout.output_unit
     if span <= MOTIONLESS_STEPS * (resolution or 0.0) or span <= 1e-12 * float(np.max(np.abs(raw.y))):
         seen = f"the output stays within {span:.3g} {unit}" + (f", its resolution is {resolution:.3g} {unit}" if resolution else "")
@@ -77,18 +77,18 @@ def must_move(layout: Layout, raw: Raw, resolution: float | None) -> None:
 
 
 def _leaves_noise(y: Array) -> bool:
-    """True if the output leaves the noise for some samples in a row: a servo may rest nearly all of the time."""
-    step = float(np.min(np.diff(np.unique(y)), initial=np.inf))  # of a coarse sensor; one that hardly ever changes has no deviation
+    """True if a running median of the output leaves the noise: a servo may rest nearly all of the time."""
+    step = float(np.min(np.diff(np.unique(y)), initial=np.inf))  # a coarse reading that hardly changes has a median deviation of 0
     usual = max(float(stats.median_abs_deviation(y, scale="normal")), step)
     return bool(np.ptp(ndimage.median_filter(y, MEDIAN_SAMPLES, mode="nearest")) > MEDIAN_DEVIATIONS * usual)
 
 
 def _only_noise(u: Array, y: Array) -> bool:
-    """True if the output is white and does not follow the input: a servo is slow, so that its motion is not white.
+    """True if the output is white and not correlated with the input; the motion of a servo, which is a low-pass, is not white.
 
-    Of white noise, the shares that the frequencies have in the power add up evenly, none stands out, and the correlation
-    with anything else is small at every lag. A motion far smaller than the noise shows in one of the three. Ranks stand for
-    the values, lest a lone outlier, whose spectrum is even as well, hide a motion.
+    Three tests, of which a motion far smaller than the noise fails one: the largest ordinate of the periodogram, the
+    Kolmogorov-Smirnov test of the cumulative periodogram, and the largest correlation with the input over all lags. Ranks
+    take the place of the values, because a lone outlier, whose spectrum is flat as well, would hide a motion.
     """
     u, y = stats.rankdata(u), stats.rankdata(y)
     n = len(y)
@@ -150,7 +150,7 @@ def unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     turn = known or counter or (resolution * round(turn / resolution) if resolution else turn)
     sure = known == full or counter is not None
     fits = span <= 1.02 * turn and np.max(np.abs(sizes - turn)) <= 0.1 * turn
-    if len(jumps) < 2 and not (fits and sure):  # one of any size may be a slip
+    if len(jumps) < 2 and not (fits and sure):  # a single jump of another size may be a lost reading
         where = f"after {raw.time[jumps[0]]:.6g} s"
         raw.say(f"position jumps once by {turn:.4g} {layout.output_unit} {where}: a lost reading or a wrap? cut the record there")
         return False
@@ -169,7 +169,7 @@ def unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
 
 
 def _counter(turn: float, resolution: float | None) -> float | None:
-    """Return the range of a counter of so many bits, if a jump is of that size."""
+    """Return the range of a counter with a whole number of bits, if a jump is of that size."""
     if not resolution or turn <= 0.0:
         return None
     bits = round(float(np.log2(turn / resolution)))
@@ -196,7 +196,7 @@ def report_frozen(raw: Raw, resolution: float | None) -> None:
         if raw.time[end] - raw.time[start] >= FROZEN_DURATION and np.ptp(raw.u[start : end + 1]) > FROZEN_INPUT_SHARE * span > 0.0:
             still.append((start, end))
     for runs_found, what in (
-        (caught, "the output freezes in motion and then catches up: a lost reading; cut these parts"),
+        (caught, "the output freezes in motion and then catches up: samples were lost; cut these parts"),
         (still, "the output stands still while the input sweeps most of its range: a stop, a drive that is off, a stuck sensor?"),
     ):
         if runs_found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -101,6 +102,30 @@ def test_errors_are_2_and_one_line(cli: Cli, case: Path, tmp_path: Path) -> None
     one_line(cli(), "list, build, run")
     one_line(cli("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
     assert not out.exists()
+
+
+def test_deprecated_keys_are_one_line(cli: Cli, tmp_path: Path) -> None:
+    rows = [f"{0.001 * k},{math.sin(0.02 * k)},{math.cos(0.01 * k)}" for k in range(500)]
+    (tmp_path / "r.csv").write_text("\n".join(["t,u,y", *rows]))
+    old = tmp_path / "old.toml"
+    old.write_text("""
+[record]
+file = "r.csv"
+time = { column = "t", unit = "s" }
+u = { column = "u", unit = "V" }
+theta = { column = "y", unit = "rad" }
+[observer]
+method = "rls"
+[[checks]]
+quantity = "estimates.b.final"
+min = -1e9
+""")
+    done = cli("run", old, "--out", tmp_path / "out")
+    assert done.returncode in (0, 1)
+    [line] = done.stderr.splitlines()
+    assert line.startswith(f"bristle: {old}: record: the keys u, theta are deprecated; write u as [record.input]")
+    result = json.loads((tmp_path / "out/old/result.json").read_text())
+    assert f"bristle: {result['notes'][0]}" == line
 
 
 def test_one_bad_scenario_does_not_stop_the_others(cli: Cli, case: Path, tmp_path: Path) -> None:

@@ -220,7 +220,7 @@ def test_notes_on_the_record_are_in_the_report(tmp_path: Path, scenario_file: Ma
               speed=np.delete(t, 700))  # fmt: skip
     done = run(scenario_file(text("r.csv")), tmp_path / "out")
     assert done.result["steps"] == 1999
-    assert "record r: one or two samples are missing at 1 places (first after 0.699 s); bridged" in done.result["notes"]
+    assert "record r: one or two samples are missing at 1 places (first after 0.699 s); interpolated" in done.result["notes"]
     assert "one or two samples are missing" in (done.folder / "report.html").read_text(encoding="utf-8")
 
 
