@@ -1,9 +1,9 @@
-"""Records that are logged more slowly than the drive works: what is named then, with the input as it was found and as if held.
+"""Records sampled more slowly than the drive works: what is named, with the input as detected and with it taken as held.
 
     low_rate_records.py [--out out/slow] [--jobs 2]
 
-Controls and single effects of the blind test's generator, whose drive works at 1 kHz, of which every fourth or sixteenth sample is
-kept. The tables go to docs/diagnosis.md; cases go on where they were stopped.
+Controls and single effects from the generator of the blind test, whose drive works at 1 kHz; every fourth or sixteenth sample is
+kept. The table goes to docs/diagnosis.md. An interrupted run continues with the cases that are missing.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ import run  # sets the threads, before numpy
 from page import put
 from score import Judged
 
-SEED, SCALE = "slow, second", 0.02
-EVERY = (4, 16)
-WAYS = ("held", "found")
+LOW_RATE_SEED, LOW_RATE_SCALE = "slow, second", 0.02  # seed of the generator; share of its full plan
+KEPT_EVERY = (4, 16)  # every how many-th sample is kept
+INPUT_WAYS = ("held", "found")  # how the input between samples is taken: held, or as the diagnosis detects it
 
 
 def thinned(case: Path, every: int, folder: Path) -> Path:
-    """Write every so many-th sample of a case, and return the folder."""
+    """Write each `every`-th sample of a case and return the folder."""
     import numpy as np  # after the threads are set
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -38,7 +38,7 @@ def thinned(case: Path, every: int, folder: Path) -> Path:
 
 
 def diagnose_slow(case: Path, every: int, way: str, target: Path) -> None:
-    """Diagnose a thinned case; `way` held: without testing whether the input was."""
+    """Diagnose a thinned case; with the way "held" the input is taken as held without a check."""
     folder = thinned(case, every, target.parent / "records" / f"{target.stem}")
     run.diagnose_one(folder, target, {"test_input_hold": way == "found"})
 
@@ -64,23 +64,26 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=run.ROOT / "out" / "slow")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     a = parser.parse_args()
-    run.generate(SEED, a.out, SCALE, a.jobs, ("controls", "single"))
+    run.generate(LOW_RATE_SEED, a.out, LOW_RATE_SCALE, a.jobs, ("controls", "single"))
     answers = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((a.out / "answers").glob("*.json"))]
     calls = [
         (a.out / "cases" / f"{each['case']:05d}", every, way, _target(a.out, each, every, way))
-        for each, every, way in itertools.product(answers, EVERY, WAYS)
+        for each, every, way in itertools.product(answers, KEPT_EVERY, INPUT_WAYS)
     ]
     run.go_on(diagnose_slow, calls, a.jobs, "diagnose")
-    rows = "\n".join(row(a.out, answers, every, way) for every in EVERY for way in WAYS)
-    put("slow records", "benchmarks/blind/low_rate_records.py", f"""## Records that are logged slowly
+    rows = "\n".join(row(a.out, answers, every, way) for every in KEPT_EVERY for way in INPUT_WAYS)
+    put("slow records", "benchmarks/blind/low_rate_records.py", f"""## Records with a low sampling rate
 
 `python benchmarks/blind/low_rate_records.py`: controls and single effects of gap ratio 2 and more, half in another form, from
-a drive that works at 1 kHz, of which every fourth or sixteenth sample is kept. `held`: the input taken as held between those, as it
-was not; `found`: as rule 1 of diagnosis_rules.md takes it. (A delay of less than half a sample is then part of what is found.)
+a drive that works at 1 kHz; every fourth or sixteenth sample is kept. `held`: the input is taken as held between these samples,
+which it was not; `found`: rule 1 of diagnosis_rules.md decides. (A delay of less than half a sample is then part of what is found.)
 
-| logged at | input | controls named | named right | with a wrong name | said not to be held |
+| logged at | input | controls named | named right | with a wrong name | reported as not held |
 |---|---|---|---|---|---|
 {rows}
+
+With this few cases the table gives no bound on an error rate. They come from the generator of the blind test, so its limits apply;
+and as its drive works at 1 kHz, the input is never truly held between the samples kept.
 """)  # fmt: skip
     print(rows)
 

@@ -1,11 +1,11 @@
-"""The blind test: generate cases with a hidden effect, diagnose them, score the names against the sealed answers.
+"""The blind test: generate cases with a hidden effect, diagnose them, score the effects named against the sealed answers.
 
     run.py generate --seed dev1 --out DIR [--scale 0.1] [--jobs 2] [--only single]
     run.py diagnose --out DIR [--jobs 2]
     run.py score --out DIR
     run.py publish [--jobs 2]     all three, seeded by the commit's hash; refuses a tree with changes
 
-Every step goes on where it was interrupted. Diagnosis never opens the answers; they are sealed by answers.sha256.
+An interrupted step continues with the cases that are missing. The diagnosis never reads the answers; answers.sha256 seals them.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 from cases import SELECTIONS, Spec, draw, plan, seal, write
 from page import put
 from score import tables
-from shared import write_json
+from shared import BLIND_TEST_LIMITS, write_json
 from truth import library
 
 ROOT = Path(__file__).resolve().parents[2]
 BLIND_TEST_INTRODUCTION = """## How often it is wrong
 
-`scripts/blind` draws cases with a hidden effect by a code of its own (another integrator, another formulation of friction,
-half of the effects in another form of the same physics), seeded by the hash of the commit that it tests; diagnoses them; and
-scores what was said against sealed answers. A commit is tested once and the first run counts. Further tables, by effect, by
-gap ratio and by parameter, are in [benchmarks/results/blind.md](../benchmarks/results/blind.md).
+`scripts/blind` generates cases with a hidden effect by code of its own (another integrator, another formulation of friction,
+half of the effects in another form of the same physics), seeded by the hash of the commit under test; diagnoses them; and scores
+the results against sealed answers. A commit is tested once and the first run counts. Further tables, by effect, by gap ratio and
+by parameter, are in [benchmarks/results/blind.md](../benchmarks/results/blind.md).
 """
 PUBLISHED_TABLES = ROOT / "benchmarks" / "results" / "blind.md"
 
@@ -49,7 +49,7 @@ def generate_one(commit: str, spec: Spec, out: Path) -> None:
 
 
 def diagnose_one(folder: Path, target: Path, search: Mapping[str, Any] | None = None) -> None:
-    """Diagnose one case as a user would and write the result; a failure is a result too. Its time is that of one core.
+    """Diagnose one case as a user would and write the result, also if it fails; `seconds` is processor time of one core.
 
     `search` holds fields of `SearchOptions` that are not the default.
     """
@@ -82,18 +82,18 @@ def work(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: in
 
 
 def go_on(function: Callable[..., None], calls: Iterable[Sequence[Any]], jobs: int, label: str) -> None:
-    """Do the `work` whose last argument, the file that it writes, is not there yet."""
+    """Do those calls of `work` whose last argument, the file to write, does not exist yet."""
     work(function, [call for call in calls if not call[-1].exists()], jobs, label)
 
 
 def generate(seed: str, out: Path, scale: float, jobs: int, only: Sequence[str]) -> None:
-    """Write the cases that are missing, and the seal of the answers."""
+    """Write the cases that are missing, and the hashes that seal the answers."""
     groups = [group for name in only or SELECTIONS for group in SELECTIONS[name]]
     specs = [spec for spec in plan(seed, scale) if spec.group in groups]
     note = {"seed": seed, "scale": scale}
     path = out / "plan.json"
     if path.exists() and json.loads(path.read_text(encoding="utf-8")) != note:
-        raise SystemExit(f"{out} holds cases of another plan; give another folder")
+        raise SystemExit(f"{out} holds cases of another seed or scale; give another folder")
     write_json(path, note)
     library()  # compiled once, before the workers start
     missing = [spec for spec in specs if not (out / "answers" / f"{spec.index:05d}.json").exists()]
@@ -102,7 +102,7 @@ def generate(seed: str, out: Path, scale: float, jobs: int, only: Sequence[str])
 
 
 def check_seal(out: Path) -> None:
-    """Raise an error if an answer is not the one that was sealed."""
+    """Raise an error if an answer does not match its hash."""
     sealed = {}
     for line in (out / "answers.sha256").read_text(encoding="utf-8").splitlines():
         digest, name = line.split("  ")
@@ -110,7 +110,7 @@ def check_seal(out: Path) -> None:
     for path in sorted((out / "answers").glob("*.json")):
         name = f"answers/{path.name}"
         if sealed.get(name) != hashlib.sha256(path.read_bytes()).hexdigest():
-            raise SystemExit(f"{name} is not what was sealed; generate the cases again")
+            raise SystemExit(f"{name} does not match answers.sha256; generate the cases again")
 
 
 def diagnose_all(out: Path, jobs: int) -> None:
@@ -123,16 +123,16 @@ def diagnose_all(out: Path, jobs: int) -> None:
 
 
 def stamp(out: Path) -> None:
-    """Note which code the results of a folder are of; raise an error if they are of another."""
+    """Write which code the results of a folder come from; raise an error if they come from other code."""
     code = _git("rev-parse", "HEAD") + (" with changes" if _git("status", "--porcelain") else "")
     path = out / "code.txt"
     if path.exists() and path.read_text(encoding="utf-8") != code:
-        raise SystemExit(f"{out} holds results of code {path.read_text(encoding='utf-8')}, this is {code}; give another folder")
+        raise SystemExit(f"{out} holds results of commit {path.read_text(encoding='utf-8')}, this is {code}; give another folder")
     path.write_text(code, encoding="utf-8")
 
 
 def answered(out: Path) -> list[tuple[Any, Any]]:
-    """Return (answer, result) of each case that has been diagnosed; the answers must be those that were sealed."""
+    """Return (answer, result) of each case that has been diagnosed; the answers must match their hashes."""
     check_seal(out)
     pairs = []
     for path in sorted((out / "results").glob("*.json")):
@@ -162,11 +162,12 @@ def publish(out: Path | None, jobs: int, scale: float) -> None:
     generate(commit, out, scale, jobs, ())
     seal_line = hashlib.sha256((out / "answers.sha256").read_bytes()).hexdigest()
     diagnose_all(out, jobs)
-    stamp(out)  # still the same
+    stamp(out)  # raises an error if the code changed meanwhile
     head = f"Commit {commit}, which seeds every case; sha256 of the sealed answers' list: {seal_line}.\n"
     figures, others = score_all(out)
-    PUBLISHED_TABLES.write_text(f"# Blind test\n\n{head}\n{figures}\n\n{others}", encoding="utf-8")
-    put("blind test", "scripts/blind", f"{BLIND_TEST_INTRODUCTION}\n{head}\n{figures}")
+    limits = BLIND_TEST_LIMITS.strip()
+    PUBLISHED_TABLES.write_text(f"# Blind test\n\n{head}\n{figures}\n\n#{limits}\n\n{others}", encoding="utf-8")
+    put("blind test", "scripts/blind", f"{BLIND_TEST_INTRODUCTION}\n{head}\n{figures}\n\n{limits}")
     print(PUBLISHED_TABLES.read_text(encoding="utf-8"))
 
 

@@ -13,7 +13,7 @@ from matplotlib import rc_context
 
 from bristle.common.drawing import BLUE, DEGREES, GREY, INK, ORANGE, PALE, STYLE, new_figure, set_title, thin
 from bristle.diagnosis.estimation.dataset import SEGMENT_SECONDS
-from bristle.diagnosis.report.figures import telling
+from bristle.diagnosis.report.figures import worst_part
 
 DPI = 130
 NAMED, OTHER = BLUE, PALE
@@ -57,7 +57,7 @@ def xl330(runs: Sequence[Run]) -> Any:
 
 
 def _errors(ax: Any, run: Run) -> None:
-    found = telling(run.found.traces)
+    found = worst_part(run.found.traces)
     assert found is not None
     trace, part = found
     time = trace.time[part]
