@@ -1,4 +1,4 @@
-"""Where compiled things are kept: one folder, files named by the hash of what they were made from."""
+"""Cache of compiled files: one folder, in which each file is named by the hash of its sources."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bristle.common.errors import BristleError
 
 
 def cache_folder() -> Path:
-    """Return the cache folder: $BRISTLE_CACHE, else the platform's usual place; it is created when missing."""
+    """Return the cache folder: $BRISTLE_CACHE, else the platform's usual place; it is created if missing."""
     if given := os.environ.get("BRISTLE_CACHE"):
         folder = Path(given)
     elif sys.platform == "win32":
@@ -46,7 +46,7 @@ def digest(*parts: str | bytes) -> str:
 
 
 def cached(name: str, make: Callable[[Path], None]) -> Path:
-    """Return the cached file `name`, made by `make(path)` if it is not there; a half-made file is never seen."""
+    """Return the cached file `name`, made by `make(path)` if it is missing; other processes see a complete file or none."""
     target = cache_folder() / name
     try:
         if not target.exists():

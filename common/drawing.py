@@ -1,4 +1,4 @@
-"""What all figures share: one style, colours, sizes and labels at fixed places, SVG text that is the same every time."""
+"""Style of all figures: colours, sizes, labels at fixed places, and SVG text that is reproducible."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Okabe and Ito's colours, told apart by colour-blind readers too
+# colours by Okabe and Ito, which colour-blind readers can distinguish
 BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
 DEGREES = 180.0 / math.pi
-POINTS = 1200  # of a curve
+POINTS = 1200  # points of a curve, at most
 TICKS = 5  # intervals between ticks, at most
-MARGINS = (0.74, 0.15, 0.5, 0.36)  # inches left, right, below and above the axes
-BESIDE, LETTER = 0.16, 0.074  # inches between an axis and its tick labels, both gaps together; width of a letter of these
+MARGINS = (0.74, 0.15, 0.5, 0.36)  # margins left, right, below and above the axes [inch]
+BESIDE, LETTER = 0.16, 0.074  # both gaps beside the tick labels together, mean width of their letters [inch]
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"], "font.size": 9,
     "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
@@ -37,14 +37,14 @@ def svg(figure: Any, salt: str) -> str:
     from matplotlib import rc_context
     from matplotlib.ticker import AutoLocator
 
-    for ax in figure.axes:  # ticks are most of what drawing costs
+    for ax in figure.axes:  # ticks take most of the time of drawing
         for axis in (ax.xaxis, ax.yaxis):
             if isinstance(axis.get_major_locator(), AutoLocator):
                 axis.get_major_locator().set_params(nbins=TICKS)
     _place_labels(figure)
     out = io.StringIO()
     with rc_context({"svg.hashsalt": f"bristle-{salt}"}), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a record may have any name: a box stands for what the font lacks
+        warnings.filterwarnings("ignore", "Glyph")  # a record may have any name; characters that the font lacks are drawn as boxes
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]
@@ -77,7 +77,7 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def set_title(ax: Any, text: str, **style: Any) -> None:
-    """Set a title at a fixed height, which spares measuring what lies below it."""
+    """Set a title at a fixed height, so that matplotlib need not measure the axes."""
     ax.set_title(text, y=1.0, pad=5, **style)
 
 

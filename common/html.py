@@ -1,4 +1,4 @@
-"""Pieces of the HTML pages that people read: numbers, units, tables, figures and the page around them."""
+"""Parts of HTML pages: numbers, units, tables, figures and the page around them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from importlib.resources import files
 
 
 def number(value: object, digits: int = 4) -> str:
-    """Write a number for people; a dash where there is none."""
+    """Return a number as HTML text; a dash if it is none or not finite."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–"
     if value == 0 or 1e-3 <= abs(value) < 1e6:
@@ -23,12 +23,12 @@ def number(value: object, digits: int = 4) -> str:
 
 
 def unit(text: str) -> str:
-    """Write a unit for people: rad/s2 -> rad/s²."""
+    """Return a unit as HTML text: rad/s2 -> rad/s²."""
     return "" if text == "1" else re.sub(r"(?<=[a-z])2", "²", escape(text)).replace(".", "·")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
-    """Return an HTML table; columns in `numeric` are set right."""
+    """Return an HTML table; columns in `numeric` are right-aligned."""
 
     def cell(tag: str, index: int, text: str) -> str:
         return f'<{tag} class="n">{text}</{tag}>' if index in numeric else f"<{tag}>{text}</{tag}>"
@@ -47,7 +47,7 @@ def badge(kind: str, text: str) -> str:
 
 
 def figure(title: str, svg: str, caption: str) -> str:
-    """Return a figure: an image of its own, so that the ids inside several of them cannot meet."""
+    """Return a figure: an image of its own, so that the ids inside several of them cannot clash."""
     data = base64.b64encode(svg.encode()).decode()
     image = f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{data}">'
     return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"

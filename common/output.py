@@ -1,4 +1,4 @@
-"""Files that a person gets: plain JSON, a folder that is tried before time is spent, everything on disk or nothing."""
+"""Output files: JSON content, a check that the folder is writable before a long computation, writing through to the disk."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def to_json(content: Mapping[str, Any]) -> str:
 
 
 def complain(folder: Path, error: OSError) -> BristleError:
-    """Return the one line for a folder that cannot be written."""
+    """Return the error for a folder that cannot be written."""
     return BristleError(
         f"output folder {folder}: {error.strerror or error}; choose another with --out or make room (nothing was changed)"
     )
 
 
 def check_writable(out: Path) -> None:
-    """Create the output folder and try it, before time is spent."""
+    """Create the output folder and check that it is writable, before a long computation."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=".bristle-try-"):
@@ -57,14 +57,14 @@ def check_writable(out: Path) -> None:
 
 @contextmanager
 def output_folder(out: Path) -> Iterator[None]:
-    """Create the output folder and try it, before time is spent; if the work fails, no empty folder is left behind."""
+    """Create the output folder and check that it is writable; if the work in the context fails, remove it if it is empty."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         check_writable(out)
         yield
     except BaseException:
         for folder in made:
-            with suppress(OSError):  # somebody has put something into it
+            with suppress(OSError):  # it is not empty
                 folder.rmdir()
         raise
 

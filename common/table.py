@@ -18,12 +18,12 @@ from bristle.common.units import parse_unit
 
 Array = NDArray[np.float64]
 
-SEPARATORS = ",;\t"  # of a CSV
-SHOWN_LETTERS, SHOWN_NAMES = 40, 20  # letters of a column's name and names that an error shows
+SEPARATORS = ",;\t"  # of the columns of a CSV file
+SHOWN_LETTERS, SHOWN_NAMES = 40, 20  # letters of a column name, and column names, that an error message shows at most
 
 
 class Columns(dict[str, Array]):
-    """Columns by name, each of shape (n,); `unusable` says of others what they hold instead of numbers."""
+    """Columns by name, each of shape (n,); `unusable` gives for all others what they hold instead of numbers."""
 
     def __init__(self, columns: Mapping[str, Array], unusable: Mapping[str, str]) -> None:
         super().__init__(columns)
@@ -70,7 +70,7 @@ def _unreadable(path: Path, error: Exception) -> BristleError:
 def _read_csv(path: Path) -> Columns:
     with path.open(newline="", encoding="utf-8-sig") as stream:
         first, above = _header(stream)
-        # a header without a comma is one of semicolons or tabs, which spreadsheets write
+        # spreadsheets also write semicolons or tabs between columns
         separator = next((mark for mark in SEPARATORS if mark in first), ",")
         header = [name.strip() for name in next(csv.reader([first.lstrip("# ")], delimiter=separator), [])]
         if any(_is_number(name) for name in header):
@@ -90,9 +90,9 @@ def _read_csv(path: Path) -> Columns:
 
 
 def _header(stream: TextIO) -> tuple[str, int]:
-    """Return the line of the column names and its number, the stream behind it: the first line that is no remark.
+    """Return the line of the column names and its number, and leave the stream behind it: the first line that is no comment.
 
-    A remark begins with #, but so does a header that numpy.savetxt has written: numbers follow it.
+    A comment begins with #. So does a header that numpy.savetxt has written, but numbers follow it.
     """
     first, number = stream.readline(), 1
     while first:
@@ -107,7 +107,7 @@ def _header(stream: TextIO) -> tuple[str, int]:
 
 
 def _read_rows(path: Path, separator: str, width: int, above: int) -> Array:
-    """Read a CSV row by row below so many lines: slower, but it knows where a mistake is and takes empty fields."""
+    """Read a CSV row by row below so many lines: slower, but it finds the line of a mistake and accepts empty fields."""
     rows: list[list[float]] = []
     with path.open(newline="", encoding="utf-8-sig") as stream:
         for _ in range(above):
@@ -116,7 +116,7 @@ def _read_rows(path: Path, separator: str, width: int, above: int) -> Array:
         found = ((above + reader.line_num, row) for row in reader if row and any(field.strip() for field in row))
         for line, row in found:
             if len(row) != width:
-                raise BristleError(f"record {path}: line {line} has {len(row)} values, the header {width}; mend that line")
+                raise BristleError(f"record {path}: line {line} has {len(row)} values, the header {width}; correct that line")
             try:
                 rows.append([float(field) if field.strip() else np.nan for field in row])
             except ValueError:
@@ -178,7 +178,7 @@ KINDS = {"U": "text", "S": "text", "c": "complex numbers", "M": "timestamps", "m
 
 
 def _no_vector(value: NDArray[np.generic]) -> str:
-    """Return what an array holds that cannot serve as a column, or an empty text."""
+    """Return what an array holds if it cannot serve as a column; an empty text if it can."""
     if value.dtype.kind not in "fiu":
         return KINDS.get(value.dtype.kind, "objects")
     return "" if value.size == max(value.shape, default=0) else f"an array of shape {value.shape}"
@@ -193,7 +193,7 @@ READERS: dict[str, Callable[[Path], Columns]] = {
 
 
 def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
-    """Return what a value in `unit` is multiplied by to be in `si_unit`; `scale` is such as ``"1 rad/m"``.
+    """Return the factor that converts a value in `unit` to `si_unit`; `scale` is such as ``"1 rad/m"``.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
 
 
 def _listed(names: Iterable[str]) -> str:
-    """Return some names in short, as one line can hold them."""
+    """Return names in short, for one line of an error message."""
     short = [name if len(name) <= SHOWN_LETTERS else f"{name[:SHOWN_LETTERS]}..." for name in names]
     return ", ".join(short[:SHOWN_NAMES]) + (f" and {len(short) - SHOWN_NAMES} more" if len(short) > SHOWN_NAMES else "")
 

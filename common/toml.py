@@ -1,4 +1,4 @@
-"""TOML files: read, checked against a schema, written; every mistake is one line with file, key, value and what to do."""
+"""TOML files: reading, checking against a schema, one-line errors with file, key, value and what to do."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     except UnicodeDecodeError:
         raise BristleError(f"{path}: not UTF-8 text; give a TOML file") from None
     except tomllib.TOMLDecodeError as error:
-        raise BristleError(f"{path}: not valid TOML: {error}; mend that place") from None
+        raise BristleError(f"{path}: not valid TOML: {error}; correct that line") from None
 
 
 def _shown(value: object) -> str:
@@ -81,9 +81,9 @@ def _types(annotation: Any) -> list[Any]:
 
 
 def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationError) -> BristleError:
-    """Turn what pydantic found first into one line."""
+    """Return the first error that pydantic found, in one line."""
     found = error.errors()
-    # an unknown key explains a missing one better than the other way round
+    # of an unknown and a missing key the unknown one is shown: it is usually a misspelt one
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
     kind, location, value = first["type"], [p for p in first["loc"] if not str(p).startswith("function-")], first["input"]
     key, context = _dotted(location), first.get("ctx", {})

@@ -11,7 +11,7 @@ from bristle.common.errors import BristleError
 
 __all__ = ["Unit", "convert", "parse_unit", "per_second", "quantity"]
 
-BASE = ("kg", "m", "s", "A", "rad")  # the SI base units (and rad) that FMI's BaseUnit knows and this field needs
+BASE = ("kg", "m", "s", "A", "rad")  # the SI base units (and rad) that FMI's BaseUnit has and servo models need
 
 _SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
     "1": (1.0, {}),
@@ -75,7 +75,7 @@ def parse_unit(text: str) -> Unit:
 
 
 def _joined(token: str) -> str:
-    """Return a question if a token is two symbols without the dot between them."""
+    """Return a suggestion if a token is two symbols without the dot between them."""
     pairs = ((token[:i], token[i:]) for i in range(1, len(token)))
     meant = next((f"{a}.{b}" for a, b in pairs if a in _SYMBOLS and re.sub(r"\d+$", "", b) in _SYMBOLS), "")
     return f", did you mean '{meant}'?" if meant else ""

@@ -8,7 +8,7 @@ import casadi as ca
 
 SX = ca.SX
 DEGREE = math.pi / 180.0
-BASIS_COUNT = 2  # how many functions the shipped models use; a build option of the laws and observers
+BASIS_COUNT = 2  # number of basis functions of the shipped models; an argument of the laws and observers
 
 
 def gaussian(v: SX, count: int = BASIS_COUNT) -> list[SX]:

@@ -1,7 +1,7 @@
-"""Assignments of a kernel so arranged that what only one branch of a condition needs is computed in that branch alone.
+"""Order the assignments of a kernel so that what only one branch of a condition needs is computed in that branch alone.
 
-Expressions have no statements: where a servo either slides on or turns round, both are in them, each times a condition. The
-values, and their digits, are the same either way.
+An expression contains both cases of a condition, such as sliding on and reversing, each multiplied by it. The values are the
+same digit by digit with and without branches.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-MIN_BRANCH_OPERATIONS = 8  # operations that are worth a branch
+MIN_BRANCH_OPERATIONS = 8  # fewest operations for which a branch is generated
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Branch:
-    """Lines computed only if a condition holds; those of them in `shown` are 0 otherwise, the others are of no use outside."""
+    """Lines computed only if a condition holds; those in `shown` are 0 otherwise, the others are not used outside."""
 
     condition: str
     lines: tuple[Line | Branch, ...]
@@ -34,7 +34,7 @@ class Branch:
 
 
 def arranged(lines: Sequence[Line], wanted: Collection[str], inside: frozenset[str] = frozenset()) -> list[Line | Branch]:
-    """Return the lines in an order that holds, in branches where that saves work.
+    """Return the lines in an order that respects their needs, in branches where that saves operations.
 
     `wanted` are needed in any case; conditions that are `inside` hold already.
     """
@@ -96,6 +96,6 @@ def _next_branch(left: Sequence[Line], done: set[str], guards: dict[str, str]) -
             groups[guards[line.name]].append(line.name)
     ready = {condition: _ready(left, done, names) for condition, names in groups.items()}
     best = max(ready, key=lambda c: (len(ready[c]) == len(groups[c]), len(ready[c])), default="")
-    if not best or not ready[best]:  # nothing but order: what a branch would compute is needed by another one first
-        raise AssertionError("lines in no order")
+    if not best or not ready[best]:  # a branch needs what another one computes, and the other way round
+        raise AssertionError("the lines have no valid order")
     return best, ready[best]

@@ -15,13 +15,13 @@ from pathlib import Path
 
 from bristle.common.errors import BristleError
 
-# No fused multiply-add: every platform and the Python twin then give the same digits.
-# No check of array bounds: loops run to a variant's own number of states, which -O3 suspects to be larger than all there are.
+# No fused multiply-add: all platforms and the generated Python then give the same digits.
+# No check of array bounds: loops run to the number of states of a variant, which -O3 wrongly suspects to exceed the arrays.
 FLAGS = (
     "-std=c99", "-O3", "-fPIC", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
     "-Wall", "-Wextra", "-Werror", "-Wno-array-bounds",
 )  # fmt: skip
-TIMEOUT = 600  # s; a first build with zig takes a minute
+TIMEOUT = 600  # s, of one compilation; the first one with zig takes a minute
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
@@ -51,7 +51,7 @@ def find_compiler() -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def compiler_identity() -> str:
-    """Return what tells one compiler from another: the command, and version or size and date of the program behind it."""
+    """Return what identifies a compiler: the command, and version or size and date of the program behind it."""
     command = find_compiler()
     if "ziglang" in command:
         from importlib.metadata import version
@@ -62,7 +62,7 @@ def compiler_identity() -> str:
 
 
 def _environment(folder: Path) -> dict[str, str]:
-    """Return the environment of a compilation: nothing is left outside our folders, and zig needs no home."""
+    """Return the environment of a compilation: zig keeps its cache in the cache folder and needs no home directory."""
     from bristle.common.cache import cache_folder
 
     zig = {f"ZIG_{which}_CACHE_DIR": str(cache_folder() / "zig") for which in ("GLOBAL", "LOCAL")}
@@ -77,7 +77,7 @@ def compile_shared(sources: Mapping[str, str], out: Path, *, include: Sequence[P
     Raises
     ------
     BristleError
-        If the compiler fails; the first line of its complaint is in the message.
+        If the compiler fails; the first line of its error output is in the message.
     """
     folder = out.with_name(out.name + ".build")
     folder.mkdir()

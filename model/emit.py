@@ -1,4 +1,4 @@
-"""Print a kernel as C99, as plain Python or as NumPy: one walk over its instructions, three tables of spellings."""
+"""Print a kernel as C99, as plain Python or as NumPy: one pass over its instructions, one table of spellings for each language."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bristle.model.program import Kernel
 
 @dataclass(frozen=True)
 class _Language:
-    """How constants that are no numbers and operations are spelled: operation -> text of its operands {0}, {1}."""
+    """Spelling of infinity, NaN and operations: operation -> text of its operands {0}, {1}."""
 
     nan: str
     inf: str
     operations: Mapping[int, str]
 
 
-# A minimum or maximum lets NaN through in all languages.
+# A minimum or maximum propagates NaN in all languages.
 _SHARED = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_NEG: "-{0}",

@@ -1,4 +1,4 @@
-"""The normalised parameters of a servo: what an observer estimates and what a plant says is true."""
+"""The normalised parameters of a servo: what an observer estimates, and the true values that a plant publishes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Functions in this process without a compiler: a program for `runtime.Core`, as text or by CasADi; one function for arrays."""
+"""Programs without a compiler: generated Python or CasADi functions for `runtime.Core`, and functions of arrays."""
 
 from __future__ import annotations
 

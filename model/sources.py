@@ -39,9 +39,9 @@ def _variant(variant: Variant) -> tuple[str, str]:
 
 
 def fingerprint(program: Program) -> tuple[str, ...]:
-    """Return texts that differ where the sources would, far sooner than the sources: no function is made for it.
+    """Return texts that differ where the sources would, but are much quicker to make, since no function is generated.
 
-    They are the equations as they were written down, and the code that makes functions of them.
+    They are the equations as written, and the code that generates functions from them.
     """
     layout = repr((program.name, program.description, program.selector, program.sensitivities, program.observed, program.slots))
     return (_code(), layout, *(_equations(variant.system) for variant in program.variants))
@@ -82,7 +82,7 @@ def _plain(value: Any, found: list[SX]) -> Any:
 
 
 def c_sources(program: Program) -> dict[str, str]:
-    """Return file name -> text of everything that makes the program run, standing alone."""
+    """Return file name -> text of all C sources that the program needs to run without this library."""
     most = max(len(a.states) for a in program.variants)
     jacobian = max(a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0 for a in program.variants)
     header = f"""/* {program.name}: {program.description} (generated) */

@@ -1,4 +1,4 @@
-"""Modes that switch at a point within a step: where that is, and what it means for derivatives."""
+"""Modes that switch within a step: locating the switch, and derivatives across it."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from bristle.model.system import MAX_STEP, System
 SX = ca.SX
 
 
-SWITCHING_TOLERANCE = 1e-10  # of the size of what switches: no step is shortened for less
+SWITCHING_TOLERANCE = 1e-10  # overshoot of a switching point, relative to the size of the margin, up to which a step is accepted
 
 
 def passed(system: System, end: SX, h: SX) -> list[SX]:
     """Return how much farther a step of length h that ends in the states `end` goes past each switching point.
 
-    Taken as an error of the step, it makes the step control close in on the point. Where a step begins past it, because an
-    input jumped or a state was set, that counts in proportion to the length: the mode switches after next to no time.
+    Taken as an error of the step, it makes the step control locate the point. Where a step begins past it, because an
+    input jumped or a state was set, the excess counts in proportion to the length: the mode switches after a very short time.
 
     Source: gear1984 (the control of the step locates a discontinuity).
     """
@@ -28,8 +28,8 @@ def passed(system: System, end: SX, h: SX) -> list[SX]:
 def at_the_point(system: System, end: SX, h: SX) -> SX:
     """Return the end of a step of length h as it would be if a mode that switches there had switched at its point.
 
-    Since that point a state had the old rate instead of the new one, for the time margin/margin'. The time is next to
-    nothing, but not its derivative by a parameter: derivatives of this end, unlike those of `end`, carry over a switch.
+    Since that point a state had the old rate instead of the new one, for the time margin/margin'. The time is nearly
+    zero, but its derivative by a parameter is not: derivatives of this end, unlike those of `end`, are right across a switch.
 
     Source: leine2004 (saltation matrix: jump of the derivative where the right-hand side jumps).
     """

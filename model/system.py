@@ -153,9 +153,9 @@ class System:
         self.updates[name] = SX(expression)
 
     def margin(self, name: str, past: SX) -> None:
-        """Say how far past the point where a mode switches the system is, relative to its size; at most 0 before it.
+        """Set how far the system is past the switching point of a mode, relative to its size; at most 0 before the point.
 
-        No internal step then goes farther past it than the tolerance allows an error, and derivatives carry over it.
+        No internal step then overshoots it by more than the tolerance, and derivatives are right across it.
         """
         self.margins[name] = SX(past)
 
@@ -208,7 +208,7 @@ class System:
         return expression
 
     def check(self) -> System:
-        """Raise `BristleError` if an equation is missing or belongs to nothing; otherwise return self."""
+        """Raise `BristleError` if an equation is missing or belongs to no state; otherwise return self."""
         sampled = {**self.before, **self.after, **self.modes}
         for what, declared, given in (("rate", self.states, self.rates), ("update", sampled, self.updates)):
             for name in declared.keys() ^ given.keys():

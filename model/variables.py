@@ -23,7 +23,7 @@ N = TypeVar("N", bound=Named)
 
 
 def unique(found: Sequence[N], what: str) -> dict[str, N]:
-    """Return the things by name; a name given twice (a copied file with the old name) is refused."""
+    """Return the things by name; a name given twice (such as in a copied file) raises BristleError."""
     names = [each.name for each in found]
     for name in names:
         if names.count(name) > 1:

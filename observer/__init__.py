@@ -1,4 +1,4 @@
-"""Adaptive observers, one a file: a file here with a `METHOD` is a method everywhere (FMU, scenarios, command line)."""
+"""Adaptive observers, one a file; each file that defines `METHOD` is a method of the FMU, scenarios and the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Approach I as printed: sliding-mode differentiators make v' and u' known, then Zhang's observer; kept to show that it fails."""
+"""Approach I as printed: sliding-mode differentiators estimate v' and u', then Zhang's observer; kept to show that it fails."""
 
 from __future__ import annotations
 
@@ -14,8 +14,21 @@ SX = ca.SX
 CITATION = "dixit2008 eq. (19)-(22)"
 ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2") | {"cb": "1/(s2.V)", "c_alpha2": "1/(rad.s)"} | units("c")
 ESTIMATES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
-ENTRY_SIZES = (3.0, 10.0, 1000.0, 1000.0, 1000.0, 1000.0, 300.0, 100.0)  # expected of the entries: round numbers of no plant
-LOWEST = {"alpha2": 0.0, "sigma0": 1.0, "c": 1.0}  # of what is published; a bound within the recursion would hold it fast
+ENTRY_SIZES = (
+    3.0,
+    10.0,
+    1000.0,
+    1000.0,
+    1000.0,
+    1000.0,
+    300.0,
+    100.0,
+)  # expected sizes of the entries: round numbers, not taken from a plant
+LOWEST = {
+    "alpha2": 0.0,
+    "sigma0": 1.0,
+    "c": 1.0,
+}  # lower bounds of the published values; inside the recursion a bound would stop it
 
 
 def regressor(v: SX, dv: SX, u: SX, du: SX) -> SX:
@@ -63,7 +76,7 @@ def gain_states() -> tuple[State, ...]:
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Differentiate what was sampled at k-1, then let the observer see v and v' as its measured state.
+    """Differentiate the samples of k-1, then run the observer with v and v' as its measured state.
 
     With A - K C = -k I in zhang2002 the row of x1 = v carries no parameter, and the row of x2 = v' is
     Ups' = -k Ups + G,   x2^' = G theta^ + k (x2 - x2^) + Ups theta^',   held over a sample with G and x2 linear.

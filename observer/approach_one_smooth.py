@@ -10,11 +10,11 @@ from bristle.observer.approach_one import ENTRIES, adapt, estimates, gain_parame
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
-STEEPEST = 1e3  # rad/s2; an unlikely estimate of v' does not enter the regressor
+MAX_REGRESSOR_ACCELERATION = 1e3  # rad/s2; larger estimates of v' are not used in the regressor
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Let the observer (6) run with n = 2 on x1 = v, x2 = v' over the sample before the last.
+    """Run the observer (6) with n = 2 on x1 = v, x2 = v' over the sample before the last.
 
     Of that one both ends of u are known, and with them u' by linear interpolation. The terms of G in x2 at its end are solved
     for, as in the observer of step 2.
@@ -47,7 +47,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 
 def _limited(dv: SX) -> SX:
-    return ca.fmin(ca.fmax(dv, -STEEPEST), STEEPEST)
+    return ca.fmin(ca.fmax(dv, -MAX_REGRESSOR_ACCELERATION), MAX_REGRESSOR_ACCELERATION)
 
 
 METHOD = Method(

@@ -11,7 +11,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 SX = ca.SX
 K0 = (2.0, 1.0)
 LAM = 50.0
-START_VALUES = (300.0, 300.0, 300.0, 100.0)  # round numbers, of no plant
+START_VALUES = (300.0, 300.0, 300.0, 100.0)  # round numbers, not taken from a plant
 
 
 def filter_of(context: EquationContext, s: Sample) -> zhang.Filter:
@@ -46,7 +46,7 @@ def step(context: EquationContext, s: Sample, f: zhang.Filter, alpha2: SX, b: SX
 
 
 def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
-    """Return (estimates, signals): the averaged parameters, and the state estimates of the moment."""
+    """Return (estimates, signals): the averaged parameters, and the present state estimates."""
     return zhang.averaged(p), {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
 
 

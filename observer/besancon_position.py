@@ -12,7 +12,7 @@ SX = ca.SX
 LAM = 85.0
 GAIN = 1e9
 AVERAGING = 20.0
-FASTEST = 10.0  # rad/s; an unlikely velocity estimate does not enter the regressor
+MAX_REGRESSOR_SPEED = 10.0  # rad/s; larger velocity estimates are not used in the regressor
 
 
 def chain(h: SX) -> tuple[SX, SX, SX]:
@@ -38,7 +38,7 @@ def innovation_gain(lam: SX, h: SX) -> SX:
 
 
 def _limited(v: SX) -> SX:
-    return ca.fmin(ca.fmax(v, -FASTEST), FASTEST)
+    return ca.fmin(ca.fmax(v, -MAX_REGRESSOR_SPEED), MAX_REGRESSOR_SPEED)
 
 
 def predict(x: SX, ups: SX, theta: SX, u: SX, h: SX, alpha2: SX, b: SX) -> tuple[SX, SX]:

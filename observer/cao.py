@@ -1,4 +1,4 @@
-"""The original LuGre law identified directly, nonlinear parameters and all: hierarchical min-max estimation from velocity.
+"""The original LuGre law identified directly with its nonlinear parameters: hierarchical min-max estimation from velocity.
 
 With sigma1 = 0, (7)-(10) over the inertia are w' = sigma0 (v - |v| w / N), N = Fc + Fd exp(-q v^2), where q = 1/v0^2,
 Fc = sigma0 a0 and Fd = sigma0 a1. In the direction of motion, with the speed |v|, that is
@@ -27,13 +27,13 @@ REGION = {  # of theta at the start, given by its physical meaning: intervals th
     "sigma0": ("1/s2", 10.0, 1e5, "stiffness over inertia"),
 }
 INDICES = range(len(REGION))
-SLOWEST = 1e-9  # rad/s; the speed is divided by
-DOUBTFUL = 1e-3  # share of contradictions that discredits the model
+LEAST_SPEED = 1e-9  # rad/s; the speed is divided by
+CONTRADICTION_SHARE = 1e-3  # share of contradicting samples from which the model counts as wrong
 
 
 @dataclass(frozen=True)
 class Equation:
-    """What is known of speed w = N (speed - w'/sigma0) in the direction of motion, and how wrong each of it may be."""
+    """What is known of speed w = N (speed - w'/sigma0) in the direction of motion, and the error bound of each."""
 
     speed: SX
     w: SX
@@ -44,7 +44,7 @@ class Equation:
 
 
 def equation(p: Namespace, s: Sample) -> tuple[Equation, SX]:
-    """Return what two samples say about the friction, and whether the velocity changes little enough over them to say it.
+    """Return the friction that follows from two samples, and whether the velocity is steady enough for it to hold.
 
     The mean of w over a sample follows from (15), u being held and v next to linear; two of them give w and w' between, and that
     w' belongs to v weighted by the triangle (1, 4, 1)/6. Errors are a share of each term that speed, w and w' are made of.
@@ -60,11 +60,11 @@ def equation(p: Namespace, s: Sample) -> tuple[Equation, SX]:
     dw_size = (ca.fabs(p.b) * ca.fabs(s.u - p.u_before) + p.alpha2 * ca.fabs(dv) + jerk / h) / h
     w, dw = direction * (earlier + later) / 2, direction * (later - earlier) / h
     known = Equation(speed, w, dw, *(p.tolerance * size for size in (speed, w_size, dw_size)))
-    return known, ca.logic_and(p.samples >= 2, ca.fabs(dv) + SLOWEST < p.steadiness * speed)
+    return known, ca.logic_and(p.samples >= 2, ca.fabs(dv) + LEAST_SPEED < p.steadiness * speed)
 
 
 def contract(e: Equation, region: list[Interval]) -> list[Interval]:
-    """Return the part of the region that the equation leaves possible; an empty interval says that it leaves none.
+    """Return the part of the region that agrees with the equation; an empty interval if none does.
 
     Each factor and each term of N (speed - w'/sigma0) = speed w is solved for in turn, and the others are intervals.
     Source: cao2003 (the region that the upper level keeps).
@@ -162,7 +162,7 @@ def upper(p: Namespace, e: Equation, steady: SX) -> tuple[SX, SX, SX]:
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Let the upper level narrow the region, and the lower level take a step in it.
+    """Narrow the region (upper level), and take a step in it (lower level).
 
     Source: cao2003.
     """
@@ -190,10 +190,10 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 
 def valid(p: Namespace) -> dict[str, SX]:
-    """Return which estimates have all of the region near them, as long as next to nothing contradicts it."""
+    """Return which estimates are close to all of the region, valid while almost no samples contradict it."""
     fc, fd, q, soft = (ca.fmax(p[f"most{i}"] - p[f"theta{i}"], p[f"theta{i}"] - p[f"least{i}"]) for i in INDICES)
     largest = {"sigma0": soft, "a0": fc + soft, "a1": fd + soft, "v0": q / (2 * p.theta2), "Fc": fc}  # relative errors
-    return {name: ca.logic_and(p.doubt < DOUBTFUL, each < p.precision) for name, each in largest.items()}
+    return {name: ca.logic_and(p.doubt < CONTRADICTION_SHARE, each < p.precision) for name, each in largest.items()}
 
 
 METHOD = Method(

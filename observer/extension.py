@@ -25,7 +25,7 @@ def states(n: int) -> tuple[State, ...]:
 
 
 def parameter(prefix: str, q: float) -> Parameter:
-    """Declare how fast it forgets."""
+    """Declare the rate of forgetting."""
     return Parameter(f"{prefix}.fading", "q", "1/s", q, 1e-6, 1e3, "rate at which the extension forgets", "kreisselmeier1977")
 
 

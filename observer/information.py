@@ -1,4 +1,4 @@
-"""Least squares in information form, which least-squares methods share: the matrix as states, and its factors.
+"""Least squares in information form, shared by the least-squares methods: the matrix as states, and its factors.
 
 The information of a row h is h h'; sums of it can neither lose their sign nor, with a prior, wind up, whatever the input.
 Source: ljung1999 section 11.2.
@@ -13,7 +13,7 @@ from bristle.observer.method import stack_symmetric, symmetric_states, unstack_s
 
 SX = ca.SX
 SINGULAR_BELOW = 1e-12  # share of each diagonal entry that keeps the elimination from dividing by zero
-ZERO_ENTRY = 1e-150  # an entry as small as this is none
+ZERO_ENTRY = 1e-150  # entries up to this size count as zero
 
 
 def states(order: int) -> tuple[State, ...]:
@@ -32,7 +32,7 @@ def write(matrix: SX) -> dict[str, SX]:
 
 
 class Factors:
-    """L D L' of a symmetric matrix without pivoting, each diagonal entry raised by a faint share of itself.
+    """L D L' of a symmetric matrix without pivoting, each diagonal entry raised by a tiny share of itself.
 
     Where a column is a combination of others, an entry of D would be zero or, by rounding, negative; it stays positive.
     `shares` tell of each variable how much of it the ones before it do not explain; 0 where there is nothing of it.
@@ -61,7 +61,7 @@ class Factors:
         return ca.vertcat(*x)
 
     def regression(self) -> SX:
-        """Return the coefficients that explain the last variable by the others; `d[-1]` is what they leave of it."""
+        """Return the coefficients that explain the last variable by the others; `d[-1]` is the part they do not explain."""
         last = self.n - 1
         x = [self.l[last][i] for i in range(last)]
         for i in reversed(range(last)):

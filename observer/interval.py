@@ -8,7 +8,7 @@ import casadi as ca
 
 SX = ca.SX
 TINY = 1e-300
-FAR = 1e9  # stands for infinity in a logarithm
+LARGE_LOGARITHM = 1e9  # used for an infinite logarithm
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Interval:
 
     def log(self) -> Interval:
         """Return the logarithm of what is positive in the interval."""
-        return Interval(*(ca.if_else(x > TINY, ca.log(ca.fmax(x, TINY)), -FAR) for x in (self.lo, self.hi)))
+        return Interval(*(ca.if_else(x > TINY, ca.log(ca.fmax(x, TINY)), -LARGE_LOGARITHM) for x in (self.lo, self.hi)))
 
     def meet(self, other: Interval) -> Interval:
         """Return the intersection, which is empty where lo > hi."""

@@ -15,7 +15,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
 ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c", "tau")
-START_VALUES = {"sigma0": 300.0, "sigma1": 0.0, "sigma2": 0.0, "c": 100.0, "tau": 0.0}  # round numbers, of no plant
+START_VALUES = {"sigma0": 300.0, "sigma1": 0.0, "sigma2": 0.0, "c": 100.0, "tau": 0.0}  # round numbers, not taken from a plant
 SPREADS = {"alpha2": 1.0, "b": 1.0, "sigma0": 500.0, "sigma1": 500.0, "sigma2": 500.0, "c": 100.0, "tau": 0.01}
 STATE_SPREADS = (1e-3, 1.0, 5.0)  # rad, rad/s, rad/s2
 LOWEST = {"alpha2": 0.0, "sigma0": 1.0, "c": 1.0, "tau": 0.0}

@@ -1,4 +1,4 @@
-"""The joint filter of servo and friction, which extended Kalman filters share: states and parameters as one vector.
+"""The joint filter of servo and friction, shared by the extended Kalman filters: states and parameters as one vector.
 
 The vector is (theta, v, w) and seven entries that say what the parameters are; only position is measured.
 """
@@ -19,7 +19,7 @@ SX = ca.SX
 MOTION_STATES = 3  # theta, v, w
 FILTER_ORDER = MOTION_STATES + 5 + BASIS_COUNT  # alpha2, b, tau, c and one weight more than there are basis functions
 CITATION = "jazwinski1970 chapter 8"
-SUBSTEPS = 4  # of a sample; in one piece the model is off by as much as a minute of an encoder tells of the parameters
+SUBSTEPS = 4  # internal steps a sample; with one, the model error would bias the parameters measurably
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Servo:
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
-    """Declare what the filters know of the sensor."""
+    """Declare the parameters of the sensor."""
     step = "step of the position sensor; 0: none"
     most = "largest error that counts in full, in standard deviations; a larger one e counts as g^2/e"
     return (
@@ -68,7 +68,7 @@ def write(z: SX, covariance: SX) -> dict[str, SX]:
 
 
 def signals(p: Namespace, meaning: Callable[[SX], Servo]) -> dict[str, SX]:
-    """Return what the vector says of position, velocity and friction."""
+    """Return position, velocity and friction from the vector."""
     friction = meaning(read(p)[0][MOTION_STATES:]).friction(p.joint1, p.joint2)
     return {"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": friction}
 

@@ -1,4 +1,4 @@
-"""Step 1 with Kreisselmeier's adaptation, whose gradient is that of all past errors, the older the less."""
+"""Step 1 with Kreisselmeier's adaptation, whose gradient is that of all past errors, with exponential forgetting."""
 
 from __future__ import annotations
 

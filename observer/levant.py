@@ -1,4 +1,4 @@
-"""Levant's robust exact differentiators, which a method may differentiate its measurements with.
+"""Levant's robust exact differentiators, by which a method may differentiate its measurements.
 
 Both are exact in finite time for a signal whose next derivative is bounded by `limit`; sampled at the period h they leave
 errors of the size limit h^2 (first order, of f'), limit h^2 and limit h (second order, of f' and f'').

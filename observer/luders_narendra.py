@@ -15,7 +15,7 @@ CITATION = "luders1973"
 
 
 def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
-    """Advance theta' = Gamma F (z - F' theta) over a sample, implicitly, which no gain can make unstable.
+    """Advance theta' = Gamma F (z - F' theta) over a sample by an implicit step, stable at any gain.
 
     As printed (a plant in the form of Bastin and Gevers, whose regressor is filtered by the other n - 1 states), the
     observer is Bastin and Gevers' for n = 1, where nothing is left to filter; here the whole equation is filtered.

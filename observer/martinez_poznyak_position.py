@@ -5,8 +5,8 @@ from __future__ import annotations
 from bristle.observer import martinez_poznyak, smoothing, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
-MARTINEZ_BANDWIDTH = 10.0  # 1/s; the counts of an encoder are in nu, which has to be averaged for longer
-EQUIVALENT_NOISE = 2.0  # rad/s2
+MARTINEZ_BANDWIDTH = 10.0  # 1/s, of the average of nu, which contains the encoder counts
+EQUIVALENT_NOISE = 2.0  # rad/s2, of the acceleration
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

@@ -1,4 +1,4 @@
-"""What an observer method is, and how it becomes a sampled System with the inputs u and y only."""
+"""Definition of an observer method, and its composition into a sampled System with the inputs u and y only."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ CONVERGENCE_TIME = 1.0  # s, over which the convergence measure averages
 
 @dataclass(frozen=True)
 class Sample:
-    """What a method sees in a step from k-1 to k: u_(k-1) held between, the outputs y_(k-1) and y_k, the period."""
+    """Inputs of a method in a step from k-1 to k: u_(k-1) held between, the outputs y_(k-1) and y_k, the period."""
 
     u: SX
     y0: SX
@@ -63,7 +63,7 @@ class Update:
 
 
 class EquationContext:
-    """What a method's equations are written with: symbols of parameters and states, and constants made once."""
+    """Symbols for the equations of a method: symbols of parameters and states, and constants made once."""
 
     def __init__(self, system: System, p: Namespace) -> None:
         self._system, self.p = system, p
@@ -166,13 +166,13 @@ def observer(method: Method) -> System:
 
 
 def _with_start(state: State, p: Namespace) -> State:
-    """Let the start of a state be a function of the parameters."""
+    """Return the states with start values that are functions of the parameters."""
     initial = state.initial(p) if callable(state.initial) else state.initial
     return State(state.name, state.unit, state.description, initial=initial)
 
 
 def _publish(system: System, method: Method, update: Update, started: SX, period: SX) -> None:
-    """Declare the outputs: every estimate and signal there is, NaN and not valid where the method has none."""
+    """Declare the outputs: every estimate and signal; NaN and not valid where the method has none."""
     for name, (unit, description) in SIGNALS.items():
         value = update.signals.get(name, SX(math.nan))
         system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), value)

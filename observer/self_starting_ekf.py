@@ -1,15 +1,15 @@
-"""A joint filter that starts itself, chooses its own noise and starts again when the servo changes; from position alone.
+"""A joint filter from position alone: it computes its own start, adapts its noise and restarts when the servo changes.
 
-Three things make an extended Kalman filter converge here within seconds, from no start values worth the name:
+Three things make an extended Kalman filter converge here within seconds, without start values:
 
-- coordinates: the friction levels G_i = sigma_i / c in the place of sigma_i, and ln c. Sliding shows the levels whatever c
-  is, and c then has one direction to go;
-- a start by least squares on what has been seen, for alpha2, b and Fc, with the spreads that such a start has;
-- a memory that grows with the time since the start, so that what was learnt from bad linearisations is forgotten, and
-  process noise that fades as it grows.
+- coordinates: the friction levels G_i = sigma_i / c in the place of sigma_i, and ln c. The levels are identifiable
+  while sliding, whatever c is, and the error of c then has one sign;
+- a start by least squares on the data so far, for alpha2, b and Fc, with the standard deviations of that fit;
+- a memory that grows with the time since the start, so that data taken with a poor linearisation are forgotten, and
+  process noise that decays as it grows.
 
-Where the innovations stay as small as their covariance says, the noise fades further: the model is right. Where they do
-not, position counts less, as in a fit of the whole record: the model is wrong somewhere, and no gain makes it right.
+Where the innovations are as small as their covariance predicts, the model is right and the noise decays further. Where they are
+larger, the model is wrong, and the position gets less weight, as in a fit of the whole record.
 """
 
 from __future__ import annotations
@@ -29,36 +29,36 @@ SX = ca.SX
 ESTIMATES = units("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau")
 GROWING = "ljung1983 chapter 5 (forgetting that fades)"
 ADAPTIVE = "mehra1970"
-CHANGE_CITE = "basseville1993 chapter 2"
+CHANGE_CITATION = "basseville1993 chapter 2"
 MEANS = kalman.FILTER_ORDER - MOTION_STATES
 V, W, ALPHA2, DRIVE, LEVELS, LN_C, TAU = 1, 2, 3, 4, (5, 6, 7), 8, 9  # places in the vector
-# The start: how much must be known, and how far it is trusted.
-DISTINCT = 0.02  # determinant of the correlations of -v, u and -sgn v
-LONGEST_START = 5.0  # s, of motion, after which it starts in any case
-RIDGE = 1e-3  # share of the information, which shrinks what the start does not show
+# Start: what must be known before it, and the uncertainty it is given.
+MIN_DETERMINANT = 0.02  # determinant of the correlations of -v, u and -sgn v
+LONGEST_START = 5.0  # s of motion after which the filter starts in any case
+RIDGE = 1e-3  # share of the information added to its diagonal; shrinks what the start data do not determine
 LEVEL = (0.1, 2.0)  # bounds of Fc over the rms drive acceleration b u
 LEAST_VISCOUS = 0.05  # of alpha2: acceleration at the rms speed over that of the drive
-SD = {"v": 0.5, "b": 0.2, "alpha2": 0.5}  # sd over rms speed, over b, over Fc at the rms speed; the levels' is Fc
+START_SD = {"v": 0.5, "b": 0.2, "alpha2": 0.5}  # sd over rms speed, over b, over Fc at the rms speed; the levels' is Fc
 SMALLEST_LEVEL = 0.01  # of Fc at the start
-LARGEST_LEVEL = (4.0, 10.0)  # of that too: Coulomb friction, and the weights of the basis functions either way
-PASSED = 10.0  # samples in which the presliding distance of the start is passed at the rms speed, at least
-C_REACH, EARLY_C_REACH = 1e3, 10.0  # c stays within this factor of its start; from a c far too large nothing leads back
+LARGEST_LEVEL = (4.0, 10.0)  # the same, upper limits: of Coulomb friction, and of the weights of the basis functions (either sign)
+PASSED_SAMPLES = 10.0  # samples in which the presliding distance of the start is passed at the rms speed, at least
+C_REACH, EARLY_C_REACH = 1e3, 10.0  # factors by which c may differ from its start value; a far too large c is not corrected by data
 LONGEST_TAU = 1.0  # s
-# Noise that follows from the innovations.
-CONSISTENT = 1.05  # mean of squared innovation over its variance, up to which the model counts as right
-FULL_MISFIT = 0.3  # beyond that by this much, the model counts as wrong altogether
-OFF = 2.0  # the mean of late, which scatters more, up to which the model may be right; beyond it by one, it is wrong altogether
-FAINTEST = 1e-5  # share of the process noise that stays when the model is right
-SETTLED = 5.0  # s after a start, from which the innovations are judged
-MEAN_AGE = 2.0  # s: the innovations of late are compared with their mean as it was one to two of these ago
-LOST = (2.0, 3.0, 100.0)  # between so many s after a start the innovations of late stay above this: it went nowhere (else: below 1)
+# Process noise as a function of the innovations.
+CONSISTENT_RATIO = 1.05  # mean squared innovation over its variance up to which the model counts as right
+FULL_MISFIT = 0.3  # excess over that ratio at which the misfit counts in full
+RECENT_MEAN_LIMIT = 2.0  # recent mean up to which the model may be right; one more is full misfit
+LEAST_NOISE_SHARE = 1e-5  # share of the process noise that stays when the model is right
+JUDGED_AFTER = 5.0  # s after a start from which the innovations are evaluated
+MEAN_AGE = 2.0  # s: recent innovations are compared with their mean of one to two such times before
+LOST_CRITERION = (2.0, 3.0, 100.0)  # from, to [s] after a start, recent mean: above it throughout, the filter is lost
 FIRST_MEMORY = 1.0  # s
 SHARED_COUNT = 100.0  # samples with the same count, at most, that share one rounding error
-FADING = 8  # power of time with which the early noise goes
-DOUBT = 10.0  # s after a start, up to which the model does not count as right whatever the innovations say
-WATCHFUL = 10.0  # s after a start, from which a change is looked for
-TRUSTED = 20.0  # s after a start, from which the model may be known to be right
-SURE = 0.1  # standard error of a valid estimate, over the estimate; of sigma_i over c times the Coulomb level
+FADING_POWER = 8  # power of time with which the early noise decays
+UNTRUSTED_TIME = 10.0  # s after a start during which the model never counts as right
+CHANGE_SEARCH_AFTER = 10.0  # s after a start from which changes of the servo are looked for
+TRUSTED_AFTER = 20.0  # s after a start from which the model may count as known to be right
+VALID_ERROR = 0.1  # standard error of a valid estimate, over the estimate; of sigma_i over c times the Coulomb level
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _servo(entries: SX) -> kalman.Servo:
 
 
 def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX) -> _Start:
-    """Solve the least squares of L v' = -alpha2 L v + b L u - Fc L sgn v, and say how far each entry may be off.
+    """Solve the least squares of L v' = -alpha2 L v + b L u - Fc L sgn v, and return how far each entry may be off.
 
     Source: ljung1999 section 11.2; dixit2008 eq. (23).
     """
@@ -92,14 +92,25 @@ def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX) -> _Start:
     drive = ca.fabs(b) * ca.sqrt(seen[1, 1] * s.period / count)
     level = ca.fmax(ca.fmin(ca.fmax(friction, LEVEL[0] * drive), LEVEL[1] * drive), 1e-12)
     alpha2 = ca.fmax(alpha2, LEAST_VISCOUS * drive / ca.fmax(speed, 1e-9))
-    ln_c = ca.log(ca.fmin(p.c_start, 1 / (PASSED * ca.fmax(speed, 1e-9) * s.period)))  # beyond it nothing would lead back
+    ln_c = ca.log(
+        ca.fmin(p.c_start, 1 / (PASSED_SAMPLES * ca.fmax(speed, 1e-9) * s.period))
+    )  # a larger c would not be corrected by data
     ln_c = ca.if_else(p.resumes > 0, p[f"mean{LN_C - MOTION_STATES}"], ln_c)
-    viscous = SD["alpha2"] * level / ca.fmax(speed, 1e-9)
+    viscous = START_SD["alpha2"] * level / ca.fmax(speed, 1e-9)
     joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ln_c, p.tau_start)
     spread = ca.vertcat(
-        p.resolution, SD["v"] * speed, level, viscous, SD["b"] * ca.fabs(b), level, level, level, p.c_spread, p.tau_spread
+        p.resolution,
+        START_SD["v"] * speed,
+        level,
+        viscous,
+        START_SD["b"] * ca.fabs(b),
+        level,
+        level,
+        level,
+        p.c_spread,
+        p.tau_spread,
     )
-    enough = ca.logic_or(distinct > DISTINCT, count > LONGEST_START)
+    enough = ca.logic_or(distinct > MIN_DETERMINANT, count > LONGEST_START)
     return _Start(ca.logic_and(count > p.start_time, enough), joint, spread, level, speed)
 
 
@@ -118,10 +129,10 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
         known = ca.logic_and(known, covariance[i, i] <= prior[i] ** 2)
     memory = ca.fmin(p.age, p.longest_memory) + FIRST_MEMORY
     covariance = covariance * (1 + ca.if_else(known, p.memory * h / memory, 0))
-    misfit = ca.fmin(ca.fmax(ca.fmax((p.innovation - CONSISTENT) / FULL_MISFIT, p.innovation_late - OFF), 0), 1)
-    early = 1 / (1 + (p.age / p.early_time) ** FADING)
-    doubt = 1 / (1 + (p.age / DOUBT) ** FADING)
-    noise = p.level**2 * (ca.fmax(ca.fmax(misfit, FAINTEST), doubt) + p.early_noise * early)
+    misfit = ca.fmin(ca.fmax(ca.fmax((p.innovation - CONSISTENT_RATIO) / FULL_MISFIT, p.innovation_late - RECENT_MEAN_LIMIT), 0), 1)
+    early = 1 / (1 + (p.age / p.early_time) ** FADING_POWER)
+    doubt = 1 / (1 + (p.age / UNTRUSTED_TIME) ** FADING_POWER)
+    noise = p.level**2 * (ca.fmax(ca.fmax(misfit, LEAST_NOISE_SHARE), doubt) + p.early_noise * early)
     rates = [SX(0)] * kalman.FILTER_ORDER
     rates[V], rates[W] = p.noise_v * noise, p.noise_w * noise
     same = ca.fmin(ca.fmax(p.resolution / ca.fmax(ca.fabs(z[V]) * h, 1e-12), 1), SHARED_COUNT)
@@ -129,7 +140,7 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX, SX]:
     variance = quantum * (1 + p.misfit_noise * misfit + p.early_noise / 10 * early)
     error = s.y1 + p.resolution / 2 - z[0]
     z, covariance, size = kalman.correct(z, kalman.noisy(covariance, rates, h), error, variance, p.gate)
-    reach = ca.if_else(p.age < SETTLED, EARLY_C_REACH, C_REACH)
+    reach = ca.if_else(p.age < JUDGED_AFTER, EARLY_C_REACH, C_REACH)
     most = {LEVELS[0]: LARGEST_LEVEL[0] * p.level, LEVELS[1]: LARGEST_LEVEL[1] * p.level, LEVELS[2]: LARGEST_LEVEL[1] * p.level}
     low = {ALPHA2: SX(0), LEVELS[0]: SMALLEST_LEVEL * p.level, LN_C: p.ln_c - ca.log(reach), TAU: SX(0)}
     low |= {place: -each for place, each in most.items() if place not in low}
@@ -146,20 +157,22 @@ def _judge(p: Namespace, h: SX, size: SX) -> tuple[dict[str, SX], SX, SX]:
     """
     size = ca.fmin(size, 1e9)
     late = p.innovation_late + h / p.change_window * (size - p.innovation_late)
-    share = ca.if_else(p.age > SETTLED, h / (p.age - SETTLED + FIRST_MEMORY), 0)
+    share = ca.if_else(p.age > JUDGED_AFTER, h / (p.age - JUDGED_AFTER + FIRST_MEMORY), 0)
     mean = p.innovation + share * (size - p.innovation)
     kept = ca.floor(p.age / MEAN_AGE) != ca.floor((p.age + h) / MEAN_AGE)
     averages = {
         "innovation": mean,
         "innovation_late": late,
-        "innovation_least": ca.if_else(p.age < LOST[0], late, ca.fmin(late, p.innovation_least)),
+        "innovation_least": ca.if_else(p.age < LOST_CRITERION[0], late, ca.fmin(late, p.innovation_least)),
         "innovation_kept": ca.if_else(kept, mean, p.innovation_kept),
         "innovation_before": ca.if_else(kept, p.innovation_kept, p.innovation_before),
     }
-    right = ca.logic_and(p.innovation_before < 1, p.age > TRUSTED)
+    right = ca.logic_and(p.innovation_before < 1, p.age > TRUSTED_AFTER)
     most = ca.if_else(right, p.surprise, p.change_ratio * ca.fmax(p.innovation_before, 1))
-    changed = ca.logic_and(p.age > WATCHFUL, late > most)
-    lost = ca.logic_and(ca.logic_and(p.age > LOST[1], p.age < WATCHFUL), p.innovation_least > LOST[2])
+    changed = ca.logic_and(p.age > CHANGE_SEARCH_AFTER, late > most)
+    lost = ca.logic_and(
+        ca.logic_and(p.age > LOST_CRITERION[1], p.age < CHANGE_SEARCH_AFTER), p.innovation_least > LOST_CRITERION[2]
+    )
     return averages, changed, lost
 
 
@@ -198,7 +211,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 
 def _averaged(p: Namespace, z: SX, h: SX) -> SX:
-    """Return the entries averaged: what passes within some hundredths of a second is noise of rounding.
+    """Return the entries averaged: variations within some hundredths of a second are rounding noise.
 
     Source: polyak1992 (averages of estimates).
     """
@@ -214,7 +227,7 @@ def _estimates(p: Namespace) -> dict[str, SX]:
 
 
 def _valid(p: Namespace) -> dict[str, SX]:
-    """Return what the covariance calls certain; of tau, which may be zero, against what was known of it before.
+    """Return which estimates the covariance makes valid; of tau, which may be zero, against what was known of it before.
 
     Source: jazwinski1970 chapter 8; sigma_i = exp(ln c) G_i to first order.
     """
@@ -224,13 +237,13 @@ def _valid(p: Namespace) -> dict[str, SX]:
     slopes |= {f"sigma{i}": (unit[:, place] + z[place] * unit[:, LN_C], z[LEVELS[0]]) for i, place in enumerate(LEVELS)}
     slopes |= {"Fc": (unit[:, LEVELS[0]], z[LEVELS[0]]), "tau": (unit[:, TAU], p.tau_spread)}
     return {
-        name: ca.logic_and(p.runs > 0, ca.dot(slope, covariance @ slope) < (SURE * size) ** 2)
+        name: ca.logic_and(p.runs > 0, ca.dot(slope, covariance @ slope) < (VALID_ERROR * size) ** 2)
         for name, (slope, size) in slopes.items()
     }
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
-    """Declare the sensor's step, what little is known before the start, and the tuning, none of which belongs to a plant."""
+    """Declare the sensor's step, what little is known before the start, and the tuning; no value is taken from a plant."""
 
     def own(name: str, symbol: str, unit: str, default: float, low: float, high: float, text: str, source: str) -> Parameter:
         return Parameter(f"{prefix}.{name}", symbol, unit, default, low, high, text, source)
@@ -251,9 +264,18 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("memory", "k", "1", 1.0, 0.0, 10.0, "weight of the past: (time since the start / now)^k", GROWING),
         own("longest_memory", "T_m", "s", 100.0, 1.0, 1e9, "time since the start after which the memory grows no more", GROWING),
         own("averaging", "T_a", "s", 0.3, 0.0, 1e3, "time constant of the published average", "polyak1992"),
-        own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE_CITE),
-        own("surprise", "s", "1", 50.0, 1.0, 1e12, "innovations of late that are a change where the model was right", CHANGE_CITE),
-        own("change_ratio", "rho", "1", 1e4, 1.0, 1e12, "growth of the innovations that is a change", CHANGE_CITE),
+        own("change_window", "T_c", "s", 0.3, 1e-3, 1e3, "what counts as of late", CHANGE_CITATION),
+        own(
+            "surprise",
+            "s",
+            "1",
+            50.0,
+            1.0,
+            1e12,
+            "innovations of late that are a change where the model was right",
+            CHANGE_CITATION,
+        ),
+        own("change_ratio", "rho", "1", 1e4, 1.0, 1e12, "growth of the innovations that is a change", CHANGE_CITATION),
     )
 
 

@@ -7,7 +7,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Let the filters run on the velocity, linear between samples, and on the held input.
+    """Run the filters on the velocity, linear between samples, and on the held input.
 
     Source: dixit2008 eq. (20)-(22).
     """

@@ -22,13 +22,13 @@ CITATION = "dixit2008 eq. (20)-(22)"
 ESTIMATES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
 SIGNAL_COUNT = 6  # v, u, phi1 v, phi2 v, |v| u, v |v|
 ENTRY_COUNT = 8
-ROW = ENTRY_COUNT + 1  # the regressor, and what it explains behind it
-SETTLED_AFTER = 10.0  # filter time constants after which what was before the first sample no longer counts
+ROW = ENTRY_COUNT + 1  # the regressor, followed by the signal that it explains
+SETTLED_AFTER = 10.0  # filter time constants after which the state before the first sample has decayed
 LOWEST = (0.0, -1e6, 1.0, -1e9, -1e9, 1.0)  # projection, as in zhang.py; alpha2 is not negative either
 
 
 def signals(u: SX, v: SX) -> SX:
-    """Return what is filtered, as a row."""
+    """Return the signals to be filtered, as a row."""
     phi = gaussian(v)
     return ca.horzcat(v, u, *(shape * v for shape in phi), ca.fabs(v) * u, ca.fabs(v) * v)
 
@@ -100,12 +100,12 @@ def step(context: EquationContext, s: Sample, start: SX, end: SX) -> dict[str, S
 
 
 def estimates(p: Namespace) -> dict[str, SX]:
-    """Return the estimates by name; Fc is what sigma0 and c make of it at high speed, as in (18)."""
+    """Return the estimates by name; Fc follows from sigma0 and c at high speed, as in (18)."""
     return {name: p[f"theta_{name}"] for name in ESTIMATES} | {"Fc": p.theta_sigma0 / ca.fmax(p.theta_c, 1.0)}
 
 
 def valid(p: Namespace) -> dict[str, SX]:
-    """Return which estimates are known well enough to be published."""
+    """Return which estimates are precise enough to be valid."""
     return {name: p[f"sharp_{name}"] for name in ESTIMATES} | {"Fc": p.sharp_sigma0 * p.sharp_c}
 
 

@@ -1,4 +1,4 @@
-"""Approach II as a whole: Bastin-Gevers, then Besancon with a matrix gain on its alpha2 and b, both always visible."""
+"""Approach II as a whole: Bastin-Gevers, then Besancon with a matrix gain on its alpha2 and b; both are published."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def begun(context: EquationContext, s: Sample) -> SX:
 
 
 def when(go: SX, update: dict[str, SX], rest: dict[str, SX]) -> dict[str, SX]:
-    """Return the update where step 2 runs and `rest` where it waits."""
+    """Return the update while step 2 runs and `rest` before."""
     return {name: ca.if_else(go, value, rest[name]) for name, value in update.items()}
 
 
 def waiting(context: EquationContext, y: SX, order: int = 2) -> dict[str, SX]:
-    """Return what step 2 holds while it waits: its states, with the first one following the measurement."""
+    """Return the states of step 2 before it starts, with the first one following the measurement."""
     x, ups, theta, mean = zhang.read(context.p, order)
     return zhang.write(ca.vertcat(y, x[1:]), ups, theta, mean, SX(0))
 

@@ -9,7 +9,7 @@ from bristle.observer.two_step import begun, start_parameter, when
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Run both steps; step 2 begins with the velocity of the moment.
+    """Run both steps; step 2 starts from the present velocity.
 
     Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
     """

@@ -8,7 +8,7 @@ from bristle.observer.two_step import begun, start_parameter, waiting, when
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Run both steps; step 2 begins with the velocity that step 1 saw last.
+    """Run both steps; step 2 starts from the last velocity of step 1.
 
     Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
     """

@@ -9,7 +9,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, waiting, when
 
 SX = ca.SX
-UNIT = besancon_scalar.UNIT  # v in deg/s, and u in as small a unit, so that both entries of the regressor count alike
+UNIT = besancon_scalar.UNIT  # v in deg/s, and u is scaled alike, so that both entries of the regressor have the same weight
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

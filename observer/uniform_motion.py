@@ -15,7 +15,7 @@ CITATION = "dixit2008 section IV-B"
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Judge a step when the input leaves it: long enough, moving, and the spread of the velocity small against its mean.
+    """Evaluate a step of the input when it ends: it counts if it is long enough, moving, and of nearly constant velocity.
 
     Mean and mean square of the velocity are first-order averages, so that they belong to the end of the step; they end with the
     velocity at which the input was left.

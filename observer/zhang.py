@@ -1,4 +1,4 @@
-"""The filter that Besancon's observer and its matrix-gain form share, held over a sample exactly.
+"""The filter shared by Besancon's observer and its matrix-gain form, computed exactly over a sample.
 
 Besancon, Zhang and Hammouri's observer (6) is, in the coordinates Ups = lam^-n Lam^-1 G and K = lam Lam^-1 K0,
     Ups' = (A0 - K C0) Ups + psi,   x^' = (A0 - K C0) x^ + phi + psi theta^ + K y + Ups theta^',
@@ -164,7 +164,7 @@ def start_parameters(prefix: str, starts: tuple[float, ...], source: str = CITAT
 
 
 def scale_parameters(prefix: str, source: str = "zhang2002") -> tuple[Parameter, ...]:
-    """Declare the sizes expected of the parameters: round numbers that belong to no plant."""
+    """Declare the sizes expected of the parameters: round numbers, not taken from a plant."""
     return tuple(
         Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", source)
         for (n, unit), s in zip(ESTIMATES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
