@@ -1,6 +1,6 @@
 """Build an FMU, or take it from the cache.
 
-Nothing symbolic is imported before it is known that something must be built: `obtain` is quick when it is there.
+The symbolic code is imported only if something must be built, so that `obtain` is quick for an FMU in the cache.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bristle.model.program import Program
 
 FMU_NAMES = ("plant", "observer", "controller")
-VARIANT_OPTION = {"plant": "law", "observer": "method"}  # what one variant alone is chosen by
+VARIANT_OPTION = {"plant": "law", "observer": "method"}  # name of the option that chooses one variant
 HASHED_PACKAGES = ("bristle.common", "bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
 HASHED_DISTRIBUTIONS = ("bristle", "casadi", "fmpy", "pythonfmu")
 HASHED_PLUGINS = ("laws", "effects", "observers")  # sub-folders of plug-in folders whose files an FMU may contain
@@ -97,8 +97,8 @@ def build(
     Raises
     ------
     BristleError
-        If there is no such thing, no compiler, a parameter is unknown or outside its interval, or `out` cannot be
-        written.
+        If the FMU, law, method or effect is unknown, there is no compiler, a parameter is unknown or outside its interval, or
+        `out` cannot be written.
     """
     from bristle.fmus.pack import write_archive
 
@@ -107,7 +107,7 @@ def build(
 
 
 def _sources(package: str) -> list[str | bytes]:
-    """Return names and contents of a package's files, without importing it: that would cost more than building."""
+    """Return names and contents of the files of a package, without importing it (that would be slow)."""
     spec = find_spec(package)
     assert spec is not None
     folder = Path(next(iter(spec.submodule_search_locations or ())))

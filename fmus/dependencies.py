@@ -1,4 +1,4 @@
-"""Which variables each unknown follows from, read off the equations."""
+"""Dependencies of the unknowns of an FMU, derived from the equations."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def _description(exposed: Exposed) -> str:
 
 
 def _start(exposed: Exposed) -> float | int | None:
-    """Return the start value where the standards ask for one: of what can be set."""
+    """Return the start value where the standards require one: of what can be set."""
     if not exposed.settable:
         return None
     return int(exposed.slot.start) if exposed.type == "Enumeration" else float(exposed.slot.start)
@@ -66,7 +66,7 @@ def _limit(value: float | None, exposed: Exposed) -> float | int | None:
 
 
 def _value_attributes(interface: Interface, exposed: Exposed) -> dict[str, object]:
-    """Return what both standards say about a variable's value, in the same words."""
+    """Return the attributes of a value, which have the same names in both standards."""
     return {
         "declaredType": _selector_type(interface) if exposed.type == "Enumeration" else None,
         "unit": exposed.slot.variable.unit if exposed.type == "Real" else None,

@@ -1,4 +1,4 @@
-"""FMUs as a host sees them: what the modelDescription says, and a loaded instance."""
+"""FMUs as seen by a host: the modelDescription, and a loaded instance."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from bristle.common.units import parse_unit, quantity
 Value = float | int | bool | str
 
 MAX_UNPACKED = 1 << 30  # bytes an FMU may unpack to
-MAX_RATIO, RATIO_FROM = 100, 1 << 26  # from 64 MiB on, more than 100 times the archive's size is a bomb
-IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # FMI: the name of a C function's prefix, hence of a plain file
+MAX_RATIO, RATIO_FROM = 100, 1 << 26  # largest ratio of unpacked to packed size, checked from 64 MiB on (archive bombs)
+IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # FMI: a modelIdentifier is a C identifier
 
 _REAL, _ENUMERATION, _BOOLEAN = ("Real", "Float64"), ("Enumeration",), ("Boolean",)
 
@@ -35,7 +35,7 @@ class Fmu:
     path : Path
         The file.
     foreign : bool
-        Whether somebody else made it: it is then validated, and run in a process of its own.
+        Whether it comes from elsewhere: it is then validated, and run in a process of its own.
 
     Raises
     ------
@@ -74,9 +74,9 @@ class Fmu:
 
         try:
             description = read_model_description(str(self.path), validate=self.foreign)
-        except Exception as error:  # FMPy lets through whatever zipfile, lxml or its own parser raise
+        except Exception as error:  # FMPy passes on the exceptions of zipfile, lxml and its own parser
             reason = " ".join(str(error).split()) or type(error).__name__
-            if isinstance(error, AttributeError | KeyError | TypeError):  # it stumbled over something that is not there
+            if isinstance(error, AttributeError | KeyError | TypeError):  # an element or attribute is missing
                 reason = "modelDescription.xml is not one of FMI, or lacks an attribute such as fmiVersion"
             raise BristleError(f"FMU {self.path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
         if description.coSimulation is None or description.fmiMajorVersion not in (2, 3):
@@ -145,12 +145,12 @@ class Fmu:
     def parameter(self, name: str, given: object, known: Sequence[str] = ()) -> Value:
         """Check a parameter's value as a user writes it and return it in the FMU's unit.
 
-        `known` are the names to tell the user of, where not all of them are his business.
+        `known` are the names for the error message; all parameters by default.
 
         Raises
         ------
         BristleError
-            If the parameter is unknown or the value does not fit; the message does not say where it was written.
+            If the parameter is unknown or the value does not fit; the message does not name the place in a file.
         """
         if not self.has(name, "parameter"):
             known = known or self.names("parameter")
@@ -188,7 +188,7 @@ class Fmu:
         return value
 
     def check_si(self, name: str, unit: str) -> None:
-        """Refuse a variable that is there in another unit than `unit` (one that declares none is taken as it is)."""
+        """Raise BristleError if a variable declares another unit than `unit`; one without a unit is accepted."""
         have = self.unit(name)
         if have == "1":
             return
@@ -238,7 +238,7 @@ class Slave:
 
     def __init__(self, fmu: Fmu, name: str) -> None:
         self.fmu, self.name = fmu, name
-        # it removes itself at the interpreter's end even if an interrupt strikes where nobody can close it
+        # removed at the interpreter's end even if an interrupt comes before `close` can be called
         self._temporary = tempfile.TemporaryDirectory(prefix="bristle-fmu-", ignore_cleanup_errors=True)
         self._folder = self._temporary.name
         self.instance: Any = None
@@ -282,12 +282,12 @@ class Slave:
 
     @staticmethod
     def _why(error: BaseException) -> str:
-        """Return the FMU's own last word, else the exception's, on one line."""
+        """Return the last message of the FMU, else that of the exception, in one line."""
         text = _messages.pop() if _messages else str(error) or type(error).__name__
         return " ".join(text.split())
 
     def last_message(self) -> str:
-        """Return and forget what the FMU logged last."""
+        """Return and remove the last message that the FMU logged."""
         return " ".join(_messages.pop().split()) if _messages else "no message"
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What a program shows through FMI: its variables with type, causality and limits, and the same as C tables."""
+"""Variables of a program as FMI exposes them: type, causality and limits, also as C tables."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Interface:
 
 
 def _moving(variant: Variant) -> tuple[int, int]:
-    """Return the stretch of `v[]` that a step of a variant changes, outputs aside: first place and length."""
+    """Return the range of `v[]` that a step of a variant changes, without outputs: first index and length."""
     places = [*variant.states, *variant.ders, *variant.finite]
     return (min(places), max(places) - min(places) + 1) if places else (0, 0)
 

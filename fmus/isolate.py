@@ -1,4 +1,4 @@
-"""Work in a process of its own, for FMUs of others: if one crashes, only that process dies."""
+"""Run a function in a child process, for FMUs from elsewhere: if one crashes, only the child process ends."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 
-POLL_INTERVAL = 0.05  # s between two looks at the child
+POLL_INTERVAL = 0.05  # s between two checks of the child process
 
 Control = NDArray[np.int64]
 Argument = TypeVar("Argument")
@@ -37,24 +37,24 @@ def isolated(
     Parameters
     ----------
     work : function of a module
-        `control`, shape (2,), is shared memory: [0] counts what is done, for `progress`.
+        `control`, shape (2,), is shared memory: [0] counts finished items, for `progress`.
     argument, returned value
         Whatever can be pickled.
     fmus : sequence of Path
-        The foreign FMUs that take part: which one crashes is not known, hence all are named.
+        The FMUs that take part; all are named in an error, since it is not known which one crashed.
 
     Raises
     ------
     BristleError
-        If the child dies or refuses the work.
+        If the child process crashes or the work raises an error.
     """
     with tempfile.TemporaryDirectory(prefix="bristle-run-", ignore_cleanup_errors=True) as folder:
         place = Path(folder)
         (place / "work.pkl").write_bytes(pickle.dumps((work, argument, fmus)))
         control = np.memmap(place / "control", dtype=np.int64, mode="w+", shape=(2,))
-        with (place / "said").open("wb") as said:
-            child = subprocess.Popen(  # -P: a folder "bristle" or a file "numpy.py" where the user stands is not ours
-                [sys.executable, "-P", "-m", "bristle.fmus.isolate", folder], stdin=subprocess.PIPE, stdout=said, stderr=said,
+        with (place / "log").open("wb") as log:
+            child = subprocess.Popen(  # -P: do not import from the working directory
+                [sys.executable, "-P", "-m", "bristle.fmus.isolate", folder], stdin=subprocess.PIPE, stdout=log, stderr=log,
                 env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             )  # fmt: skip
             try:
@@ -63,7 +63,7 @@ def isolated(
                 _end(child)
         written = place / "answer.pkl"
         if not written.exists():
-            raise BristleError(_obituary(fmus, child.returncode, place / "said"))
+            raise BristleError(_crash_message(fmus, child.returncode, place / "log"))
         done, answer = pickle.loads(written.read_bytes())
     if not done:
         raise BristleError(answer)
@@ -93,12 +93,12 @@ def _names(fmus: Sequence[Path]) -> str:
     return ", ".join(map(str, fmus))
 
 
-def _obituary(fmus: Sequence[Path], code: int, said: Path) -> str:
+def _crash_message(fmus: Sequence[Path], code: int, log: Path) -> str:
     try:
         cause = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
     except ValueError:
         cause = f"exit code {code}"
-    lines = said.read_text(errors="replace").strip().splitlines()
+    lines = log.read_text(errors="replace").strip().splitlines()
     last = f": {lines[-1][:200]}" if lines and code > 0 else ""
     return (
         f"FMU {_names(fmus)}: crashed the simulation ({cause}{last}); "
@@ -107,8 +107,8 @@ def _obituary(fmus: Sequence[Path], code: int, said: Path) -> str:
 
 
 def _child(folder: str) -> None:
-    """Do the work; end at once when the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    """Do the work in the child process; end at once if the parent process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles interrupts
     threading.Thread(target=_watch_parent, daemon=True).start()
     place = Path(folder)
     work, argument, fmus = pickle.loads((place / "work.pkl").read_bytes())
@@ -118,7 +118,7 @@ def _child(folder: str) -> None:
         outcome = True, work(argument, control)
     except BristleError as error:
         outcome = False, str(error)
-    except Exception as error:  # FMPy raises plain exceptions for what an FMU refuses; not a crash
+    except Exception as error:  # FMPy raises plain exceptions if an FMU returns an error status
         reason = " ".join(str(error).split()) or type(error).__name__
         outcome = False, f"FMU {_names(fmus)}: {reason}; check the FMU and its parameters"
     fresh = place / "answer.tmp"

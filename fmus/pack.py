@@ -1,4 +1,4 @@
-"""Files into an archive: the same files give the same bytes, and a half-written archive is never seen."""
+"""Write files into a ZIP archive: equal files give equal bytes, and the archive appears only when it is complete."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bristle.common.errors import BristleError
 
-ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest time a ZIP file knows
+ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # time stamp of all files: the earliest one of the ZIP format
 ARCHIVE_PERMISSIONS = 0o100644 << 16
 
 
@@ -18,7 +18,7 @@ def _fill(path: Path, files: Mapping[str, bytes]) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         for name in sorted(files):
             entry = zipfile.ZipInfo(name, ARCHIVE_TIME)
-            entry.create_system = 3  # Unix, wherever it is built
+            entry.create_system = 3  # Unix, whatever machine builds it
             entry.external_attr = ARCHIVE_PERMISSIONS
             archive.writestr(entry, files[name], zipfile.ZIP_DEFLATED, 9)
 

@@ -30,7 +30,7 @@ def _tables(interface: Interface) -> str:
 
 
 def _script(interface: Interface, package: str) -> str:
-    """Return the file that pythonfmu looks for; it takes the class with the longest line of ancestors."""
+    """Return the file that pythonfmu looks for; it takes the class that derives from most others."""
     name, description = interface.program.name, interface.program.description
     return f"""\"\"\"{name}: {description} (generated).\"\"\"
 
@@ -59,7 +59,7 @@ def _package(interface: Interface) -> dict[str, str]:
 
 
 def _pythonfmu() -> Path:
-    """Return the installed package: an FMU that runs in this process imports its own copy, which has no libraries."""
+    """Return the folder of the installed package; an FMU loaded in this process imports its own copy, without libraries."""
     return Path(str(distribution("pythonfmu").locate_file("pythonfmu")))
 
 
@@ -71,7 +71,7 @@ def _library(folder: Path, suffix: str, model: str) -> bytes:
 
 
 def _pythonfmu_licence() -> dict[str, bytes]:
-    """Return pythonfmu's licence, which has to go where its files go."""
+    """Return pythonfmu's licence, which must accompany its files."""
     found = [path for path in distribution("pythonfmu").files or () if path.name.upper().startswith("LICENSE")]
     return {"documentation/licenses/pythonfmu.txt": found[0].read_binary()} if found else {}
 
@@ -80,7 +80,7 @@ def python_files(program: Program) -> dict[str, bytes]:
     """Return the content of the FMU; names and value references are those of the native one."""
     interface = Interface(program, native=False)
     package = _package(interface)
-    # FMUs in one process share sys.modules: another content must have another name
+    # FMUs in one process share sys.modules: different contents need different names
     script = f"bristle_{program.name.lower()}_{digest(*(part for pair in package.items() for part in pair))[:16]}"
     content = common_files(interface) | {"modelDescription.xml": description_2(interface, ())}
     content |= {f"resources/{script}_parts/{name}": text.encode() for name, text in package.items()}

@@ -1,6 +1,6 @@
-"""Short reference runs of the shipped FMUs, and whether a run stays inside a tube around them.
+"""Short reference runs of the shipped FMUs, and the check that a run stays within a tube around them.
 
-``python -m bristle.fmus.reference`` accepts the present behaviour: it writes reference.csv anew in each FMU's folder.
+``python -m bristle.fmus.reference`` accepts the present behaviour: it rewrites reference.csv in each FMU's folder.
 """
 
 from __future__ import annotations
@@ -19,8 +19,12 @@ from bristle.model.native import Native
 
 Array = NDArray[np.float64]
 
-REFERENCE_RUN_STEP, REFERENCE_RUN_STEPS, STEPS_PER_ROW = 1e-3, 2000, 20  # s; communication steps in a run; steps from row to row
-TUBE_HALF_WIDTH = 1e-6  # half width over the range of the signal
+REFERENCE_RUN_STEP, REFERENCE_RUN_STEPS, STEPS_PER_ROW = (
+    1e-3,
+    2000,
+    20,
+)  # communication step [s], their number in a run, steps between rows of the file
+TUBE_HALF_WIDTH = 1e-6  # half width of the tube over the range of the signal
 
 
 def inputs(what: str) -> dict[str, Array]:

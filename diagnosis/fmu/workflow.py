@@ -34,7 +34,7 @@ from bristle.diagnosis.selection.start_values import Progress, SearchOptions
 from bristle.diagnosis.selection.stepwise import search
 from bristle.diagnosis.workflow import examine, mend_first, must_be, reporting, teller
 from bristle.fmus.host import Fmu
-from bristle.fmus.playback import INPUT, Play, Played, Stretch, play_stretches, play_whole, start_variable
+from bristle.fmus.playback import INPUT, Replay, ReplayResult, ReplaySegment, replay_records, replay_segments, start_variable
 from bristle.records.record import Record
 
 Array = NDArray[np.float64]
@@ -156,21 +156,21 @@ def _simulated(fmu: Fmu, dataset: Dataset, tell: Progress) -> tuple[Segments, li
         lead = round(FMU_LEAD / s.h)
         stretches = tuple(_stretches(dataset, lead, begins))
         known = {name: variable for name, variable in begins.items() if name in outputs}
-        played = play_stretches(
-            Play(fmu, s.h, stretches, outputs, known), lambda n: tell("simulating the FMU", 0.05 * n / len(stretches))
+        played = replay_segments(
+            Replay(fmu, s.h, stretches, outputs, known), lambda n: tell("simulating the FMU", 0.05 * n / len(stretches))
         )
         return _gathered(s, played, lead), [
             f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments, {lead * s.h:.3g} s before it, with "
             f"{' and '.join(begins.values())} as measured; other states it has then begin at their start values"
         ]
     except RestartError as error:
-        whole = tuple(Stretch(piece.time, piece.u, {}) for piece in s.pieces)
-        played = play_whole(Play(fmu, s.h, whole, outputs, {}))
+        whole = tuple(ReplaySegment(piece.time, piece.u, {}) for piece in s.pieces)
+        played = replay_records(Replay(fmu, s.h, whole, outputs, {}))
         line = f"{fmu.path.name} cannot be begun anew at each segment ({error}): it ran over whole records from its own start"
         return _cut(s, played), [line]
 
 
-def _stretches(dataset: Dataset, lead: int, begins: Mapping[str, str]) -> Iterator[Stretch]:
+def _stretches(dataset: Dataset, lead: int, begins: Mapping[str, str]) -> Iterator[ReplaySegment]:
     """Give the inputs of each segment with those of the lead before it, and the measured state where that begins."""
     s, m, offset = dataset.segments, dataset.motion, 0
     length = s.bins * s.width
@@ -179,11 +179,11 @@ def _stretches(dataset: Dataset, lead: int, begins: Mapping[str, str]) -> Iterat
             at = max(0, first - lead)
             state = {"theta": float(m.theta[offset + at]), "v": float(m.v[offset + at])}
             start = {variable: state[name] for name, variable in begins.items()}
-            yield Stretch(piece.time + s.h * at, piece.u[at : first + length], start)
+            yield ReplaySegment(piece.time + s.h * at, piece.u[at : first + length], start)
         offset += len(piece.u)
 
 
-def _gathered(s: Segments, played: Played, lead: int) -> Segments:
+def _gathered(s: Segments, played: ReplayResult, lead: int) -> Segments:
     """Return the segments as the FMU gives them, from one stretch each."""
     pieces, done, length = [], 0, s.bins * s.width
     for piece in s.pieces:
@@ -196,7 +196,7 @@ def _gathered(s: Segments, played: Played, lead: int) -> Segments:
     return replace(s, pieces=tuple(pieces))
 
 
-def _cut(s: Segments, played: Played) -> Segments:
+def _cut(s: Segments, played: ReplayResult) -> Segments:
     """Return the segments as the FMU gives them, cut from whole records."""
     pieces = []
     for piece, outputs in zip(s.pieces, played.outputs, strict=True):

@@ -16,9 +16,9 @@ MULTIPLIER, MODULUS = 16807, 2147483647
 SEED_MULTIPLIER, SEED_OFFSET = (
     48271,
     715225741,
-)  # of the seed: streams of neighbouring seeds are then no small multiples of each other
-WARM_UP = 24  # draws thrown away
-NORMAL_DRAWS = 12  # whose sum is nearly Gaussian
+)  # scramble the seed, so that neighbouring seeds give unrelated sequences
+WARM_UP = 24  # first draws, which are discarded
+NORMAL_DRAWS = 12  # uniform draws whose sum is nearly Gaussian
 
 KP = Parameter("kp", "kp", "V.s/rad", 4.0, 0.0, 1e6, "proportional gain", "astrom2008 section 10.1")
 KI = Parameter("ki", "ki", "V/rad", 20.0, 0.0, 1e6, "integral gain", "astrom2008 section 10.1")
@@ -44,7 +44,7 @@ def draw(s: SX) -> SX:
 
 
 def scrambled(seed: SX) -> SX:
-    """Return where the generator starts: 1 ... MODULUS - 1, neighbours far apart."""
+    """Return the start state of the generator, 1 ... MODULUS - 1; neighbouring seeds are far apart."""
     mixed = SEED_MULTIPLIER * ca.floor(seed) + SEED_OFFSET
     s = 1 + mixed - ca.floor(mixed / (MODULUS - 1)) * (MODULUS - 1)
     for _ in range(WARM_UP):
@@ -97,7 +97,7 @@ def _reference(system: System, p: Namespace) -> SX:
 
 
 def _control(system: System, p: Namespace, error: SX) -> SX:
-    """Declare the PI controller u = sat(kp e + I), whose integral waits while u is saturated and e pushes further.
+    """Declare the PI controller u = sat(kp e + I), whose integral stops while u is saturated and e would drive it further.
 
     Source: astrom2008 section 10.1; conditional integration, section 10.4.
     """

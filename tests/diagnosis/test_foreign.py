@@ -9,7 +9,7 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose_fmu, records_from_arrays
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
-from bristle.fmus.playback import Play, Stretch, _Player, _whole, play_whole
+from bristle.fmus.playback import Replay, ReplaySegment, _Replayer, _whole, replay_records
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -83,14 +83,14 @@ def test_an_input_in_another_unit_is_told(model, records):
 
 def test_an_output_that_is_no_number_is_told_with_its_time(monkeypatch):
     shown = iter([[0.1]] * 30)
-    monkeypatch.setattr(_Player, "_shown", lambda self: next(shown, [np.nan]))
-    play = Play(Fmu(obtain("plant", law="coulomb")), 0.1, (), ("theta",), {})
+    monkeypatch.setattr(_Replayer, "_shown", lambda self: next(shown, [np.nan]))
+    play = Replay(Fmu(obtain("plant", law="coulomb")), 0.1, (), ("theta",), {})
     with pytest.raises(BristleError, match=r"coulomb.*\.fmu: output theta is nan at 3 s, not a finite number"):
-        _whole((play, Stretch(0.0, np.zeros(40), {})), np.zeros(2, dtype=np.int64))
+        _whole((play, ReplaySegment(0.0, np.zeros(40), {})), np.zeros(2, dtype=np.int64))
 
 
 def test_files_where_the_user_stands_are_not_taken_for_modules(monkeypatch, tmp_path):
     (tmp_path / "numpy.py").write_text("raise SystemExit('not numpy')")
     monkeypatch.chdir(tmp_path)
-    stretch = Stretch(0.0, np.zeros(5), {})
-    assert len(play_whole(Play(Fmu(obtain("plant", law="coulomb")), 1e-3, (stretch,), ("theta",), {})).outputs[0]) == 5
+    stretch = ReplaySegment(0.0, np.zeros(5), {})
+    assert len(replay_records(Replay(Fmu(obtain("plant", law="coulomb")), 1e-3, (stretch,), ("theta",), {})).outputs[0]) == 5
