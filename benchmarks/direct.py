@@ -1,6 +1,6 @@
-"""What the methods without a first step reach: on sets S and R, on ramps, and on original LuGre plants (see docs/mathematics.md).
+"""Errors of the methods without a first step: on sets S and R, on ramps, and on original LuGre plants (see docs/mathematics.md).
 
-python benchmarks/direct.py --seeds 3          # prints the tables; exit code 1 if a promised figure is missed
+python benchmarks/direct.py --seeds 3          # prints the tables; exit code 1 if a limit is missed
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Data = Mapping[str, NDArray[np.float64]]
 
 
 def lugre(name: str, sigma0: float, coulomb: float, static: float, v0: float) -> dict[str, float]:
-    """Add an original LuGre plant without bristle damping (1/s2, rad/s2, rad/s2, deg/s), and return what is true of it."""
+    """Add an original LuGre plant without bristle damping (1/s2, rad/s2, rad/s2, deg/s), and return its true parameters."""
     values = {"sigma0": sigma0 / 1e3, "sigma1": 0.0, "Fc": coulomb / 1e3, "Fs": static / 1e3, "vs": math.radians(v0)}
     RECORD_PLANTS[name] = ("lugre", SERVO | {f"lugre.{key}": value for key, value in values.items()})
     falls = {"a0": coulomb / sigma0, "a1": (static - coulomb) / sigma0}
@@ -64,7 +64,7 @@ def ramps(plant: str, seed: int) -> dict[str, NDArray[np.float64]]:
 
 @dataclass(frozen=True)
 class Case:
-    """One row: a method, what it sees, what it is told (without its name), and what it must reach (None: only stated)."""
+    """One row: a method, its record, given parameters (without its name), and the limit of the error [%] (None: no limit)."""
 
     name: str
     method: str
@@ -126,7 +126,7 @@ def reach(case: Case, data: Data, plant: str) -> Reached:
 
 
 def seen(case: Case, plant: str, order: int, seed: int) -> Data:
-    """Return the record that a case asks for."""
+    """Return the record of a case."""
     if case.source == "ramps":
         return ramps(plant, seed + 100 * (order - 1))
     data = record(plant, order, seed, DIRECT_SECONDS)
@@ -134,7 +134,7 @@ def seen(case: Case, plant: str, order: int, seed: int) -> Data:
 
 
 def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
-    """Return the table rows of a case, one a plant, and whether what was promised holds."""
+    """Return the table rows of a case, one a plant, and whether it is within the limit."""
     lines, good = [], True
     for plant in case.plants:
         found = {order: [reach(case, seen(case, plant, order, seed), plant) for seed in seeds] for order in (1, 2)}

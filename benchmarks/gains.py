@@ -1,4 +1,4 @@
-"""The search for one setting of both steps that serves sets S and R and contains neither's truth (docs/gains.md).
+"""The search for one setting of both steps that suits sets S and R without values of either (docs/gains.md).
 
 python benchmarks/gains.py            # prints the tables of docs/gains.md
 """

@@ -1,6 +1,6 @@
-"""What the observers reach over seeds 1-12 and both orders of the reference, on sets S and R (see README).
+"""Errors and settling times of the observers over seeds 1-12 and both orders of the reference, on sets S and R (see README).
 
-python benchmarks/identification.py            # prints the tables; exit code 1 if a promised figure is missed
+python benchmarks/identification.py            # prints the tables; exit code 1 if a limit is missed
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ KNOWN_SERVO = {"alpha2": 2.0, "b": 6.5}
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table: an observer, what it sees, how long, and what it must reach (None: only stated)."""
+    """One row of the table: an observer, its record, the duration [s], limits of error [%] and settling [s] (None: no limit)."""
 
     name: str
     method: str
@@ -55,7 +55,7 @@ def run_case(case: Case, plant: str, order: int, seed: int, known: dict[str, flo
 
 
 def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
-    """Return the table row of a case and whether what was promised holds."""
+    """Return the table row of a case and whether it is within the limits."""
     cells, good = [], True
     for plant in TRUE_PARAMETERS:
         for order in (1, 2):
@@ -69,7 +69,7 @@ def row(case: Case, seeds: Sequence[int]) -> tuple[str, bool]:
 
 
 def amplification(seeds: Sequence[int]) -> None:
-    """Print what 1 % of error in alpha2 or b does to step 2: mean over the seeds (largest), in %."""
+    """Print the effect of 1 % of error in alpha2 or b on step 2: mean over the seeds (largest), in %."""
     step2 = next(case for case in PAPER_CASES if case.name == "repaired_step2")
     print(f"\n| wrong by +1 % | {' | '.join(step2.names)} |\n|---|{'---|' * len(step2.names)}")
     for wrong in KNOWN_SERVO:
@@ -84,7 +84,7 @@ def amplification(seeds: Sequence[int]) -> None:
 
 
 def wandering(seeds: Sequence[int]) -> None:
-    """Print how far step 1's b is from the truth while step 2 runs (set S, order 1, after 100 s)."""
+    """Print the error of the b of step 1 while step 2 runs (set S, order 1, after 100 s)."""
     program = observer_program("two_step")
     rms, largest = [], []
     for seed in seeds:

@@ -1,4 +1,4 @@
-"""What the other adaptation laws reach (docs/mathematics.md): parameters on S and R, prediction on L0 and L1, cost a step.
+"""Errors of the other adaptation laws (docs/mathematics.md): parameters on S and R, prediction on L0 and L1, cost a step.
 
 python benchmarks/laws.py            # prints the tables of docs/mathematics.md; --seeds N for fewer
 """
@@ -36,7 +36,7 @@ VALIDATION_SEED = 1001  # seed of the record that is predicted
 
 
 def identified(method: str, plant: str, order: int, seed: int) -> dict[str, float]:
-    """Return the last estimates of a method on a record of 100 s (200 s in two steps), given alpha2 and b if it needs them."""
+    """Return the last estimates of a method on a record of 100 s (200 s in two steps), with alpha2 and b given if it needs them."""
     data = record(plant, order, seed, 200.0 if method.startswith("two_step") else 100.0)
     inputs = {"u": data["u"], "y_v": data["y_v"], "y_theta": data["encoder"]}
     given = {p.name: KNOWN_SERVO[p.symbol] for p in methods()[method].parameters if "known" in p.description}

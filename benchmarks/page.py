@@ -1,4 +1,4 @@
-"""A section of docs/diagnosis.md that a benchmark writes, between its marks."""
+"""Sections of docs/diagnosis.md that benchmarks write, between comments that mark them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 
 
 def put(name: str, program: str, text: str, page: Path = PAGE) -> None:
-    """Replace the section of this name, or add it at the end; `program` is what writes it."""
+    """Replace the section of this name, or add it at the end; `program` is the script that writes it."""
     begin, end = f"<!-- {name}: written by {program} -->", f"<!-- end of {name} -->"
     old = page.read_text(encoding="utf-8")
     section = f"{begin}\n{text.strip()}\n\n{end}\n"

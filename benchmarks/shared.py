@@ -34,7 +34,7 @@ def upper_bound(count: int, n: int) -> float:
 
 
 def write_json(path: Path, content: Any, indent: int | None = None) -> None:
-    """Write a file whose presence means that it is whole; its folder is made if it is missing."""
+    """Write a file in one piece, so that an existing file is complete; create its folder if it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".part")
     draft.write_text(json.dumps(content, indent=indent), encoding="utf-8")

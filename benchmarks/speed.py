@@ -57,7 +57,7 @@ def programs() -> dict[str, tuple[Program, str]]:
 
 
 def plain_library(parts: dict[str, tuple[Program, str]]) -> ctypes.CDLL:
-    """Compile all three programs into one library, their symbols told apart by a prefix."""
+    """Compile all three programs into one library, their symbols distinguished by a prefix."""
     sources = {"plain.c": Path(__file__).with_name("plain.c").read_text(encoding="utf-8")}
     for name, (program, _) in parts.items():
         text = c_sources(program)

@@ -1,4 +1,4 @@
-"""What a friction law is: its parameters, its states and its equations."""
+"""Definition of a friction law: its parameters, states and equations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bristle.model.variables import Namespace, Parameter, State
 __all__ = ["Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth"]
 
 SX = ca.SX
-NEGLIGIBLE = 0.05  # of Coulomb friction: what is left of the Stribeck effect where step 1 may look
+NEGLIGIBLE = 0.05  # share of Coulomb friction: Stribeck effect that may remain at the speeds that step 1 uses
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """A law by name; `equations(p, v)` sees its own parameters, states and modes as p.sigma0, and the servo's as p.J."""
+    """A law by name; `equations(p, v)` has its own parameters, states and modes as p.sigma0, and the servo's as p.J."""
 
     name: str
     description: str
@@ -73,7 +73,7 @@ def stribeck_end(p: Namespace) -> SX:
 
 
 def stribeck_parameters(law: str, source: str) -> tuple[Parameter, ...]:
-    """Return the parameters of the curve as a law has them."""
+    """Return the parameters of the curve for the table of a law."""
     return (
         Parameter(f"{law}.Fc", "Fc", "N.m", 0.004, 1e-9, 1e6, "Coulomb friction", source),
         Parameter(f"{law}.Fs", "Fs", "N.m", 0.0072, 1e-9, 1e6, "static friction", source),

@@ -1,4 +1,4 @@
-"""Maxwell-slip elements: springs side by side, each of which sticks or slips and remembers which."""
+"""Maxwell-slip elements: springs side by side, each with a mode, sticking or slipping."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from bristle.model.variables import Parameter, State
 SX = ca.SX
 
 MAXWELL_ELEMENTS = 4
-STIFFNESSES = (0.40, 0.25, 0.15, 0.08)  # N.m/rad
-MAXWELL_SHARES = (0.1, 0.2, 0.3, 0.4)  # of the friction level
+STIFFNESSES = (0.40, 0.25, 0.15, 0.08)  # N.m/rad, of the four elements
+MAXWELL_SHARES = (0.1, 0.2, 0.3, 0.4)  # shares of the friction level, of the four elements
 
 
 @dataclass(frozen=True)
 class Element:
-    """The equations of one element: rate of its force; next value of its mode, and how far past its switching point it is."""
+    """The equations of one element: rate of its force; next value of its mode, and how far it is past its switching point."""
 
     rate: SX
     switch: tuple[SX, SX]

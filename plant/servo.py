@@ -35,7 +35,7 @@ TWIST_START = Parameter(
 TWISTING_START = Parameter(
     "twisting_start", "w0", "rad/s", 0.0, -1e4, 1e4, "how much slower the load is at the start", "spong2006 chapter 6"
 )
-LOAD_STARTS = (TWIST_START, TWISTING_START)  # of a servo with a second inertia
+LOAD_STARTS = (TWIST_START, TWISTING_START)  # start values of a servo with a second inertia
 ENCODER_COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
 
 
@@ -43,7 +43,7 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
     """Compose a law and effects into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2 v, theta' = v.
 
     With a second inertia, theta and v are the motor's, which friction acts on and the encoder shows; tau_load acts on
-    the load. Output theta, v and encoder are what is measured; F is the friction torque with all that effects change.
+    the load. Output theta, v and encoder are what is measured; F is the friction torque, effects included.
 
     Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load scales friction.
     """
@@ -108,7 +108,7 @@ def _bristles(system: System, inertia: SX, bound: SX, backward: SX | None, stiff
 
     Source: canudas1995 (LuGre with Fs = Fc).
     """
-    upper = ca.fmax(bound, 1e-12)  # without friction the bristles hold nothing, and nothing is divided by zero
+    upper = ca.fmax(bound, 1e-12)  # without friction the bristles hold no torque, and no division by zero occurs
     lower = upper if backward is None else ca.fmax(backward, 1e-12)
     z, v = system.state(State("z", "rad", "bristle deflection", scale=upper / stiffness)), system.symbols["v"]
     bending = v - stiffness * ca.fabs(v) * z / ca.if_else(v < 0, lower, upper)
@@ -155,7 +155,7 @@ def _encoder(system: System, theta: SX, theta_start: SX) -> None:
 
 
 def _true_values(system: System, true: dict[str, SX]) -> None:
-    """Publish the normalised parameters; what the law does not have is NaN and not valid."""
+    """Publish the normalised parameters; those that the law does not have are NaN and not valid."""
     for name, (unit, description) in NORMALISED.items():
         value = true.get(name, SX(math.nan))
         system.calculate(Variable(f"true.{name}", unit, f"{description}, as an observer should find it"), value)

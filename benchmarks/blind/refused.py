@@ -1,12 +1,12 @@
-"""What other thresholds could have given: where effects that were missed stood, and how many refused ones would be right.
+"""What other thresholds could give: the rank of effects that were missed, and how many rejected ones were right.
 
     refused.py --out out/blind/HASH
 
-A refused effect has four figures: its gain over the level of chance, its gain over that of the first effect, the factor by
-which it lowers the mean squared error, and its gain on segments kept from the search. Every set of four least values is tried, with
-the answers known, so that no rule of this kind can do better than what the table says. And no threshold finds what did not lead
-a round. In the same way: what other least shares of what is left could flag of the wrong names for effects of no catalogue, and
-how many right names they would flag. benchmarks/results/refused.md holds the tables.
+A rejected effect has four figures: its gain over the level of chance, its gain over that of the first effect, the factor by which
+it lowers the mean squared error, and its gain on held-out segments. All sets of four thresholds are tried with the answers known,
+so that no rule of this kind can do better than the table. A threshold cannot find an effect that was not the best of a round.
+In the same way: how many wrong names, for effects outside the catalogue, other thresholds of the unexplained share could flag, and
+how many right names they would flag too. The tables are in benchmarks/results/refused.md.
 """
 
 from __future__ import annotations

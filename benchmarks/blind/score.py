@@ -1,4 +1,4 @@
-"""Scores names against sealed answers; every share with its count, its goal and an exact 95 % bound.
+"""Score the effects named against sealed answers: each share with its count, its goal and an exact 95 % bound.
 
 A case is judged by classes: right if the verdict is `named` and the classes named are exactly those of the truth.
 """
@@ -41,7 +41,7 @@ class Judged:
 
     @property
     def named(self) -> list[str]:
-        """Classes named, by the scorer's own list; what comes with another verdict than `named` is not a name."""
+        """Classes named, by the scorer's own list; only those of the verdict `named` count."""
         found = self.result["effects"] if self.result["verdict"] == "named" else []
         return sorted({class_of(effect["name"]) for effect in found})
 
@@ -62,7 +62,7 @@ class Judged:
 
     @property
     def flagged(self) -> bool:
-        """Whether something unexplained is reported to remain."""
+        """Whether an unexplained residual is reported."""
         return bool((self.result.get("remains") or {}).get("flag"))
 
     @property

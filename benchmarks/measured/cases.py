@@ -1,4 +1,4 @@
-"""The four measured data sets diagnosed: what is asked of each, and what the workflow says."""
+"""Diagnoses of the four measured data sets: the question, the right answers, the result."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 
 @dataclass(frozen=True)
 class Run:
-    """One diagnosis: what was asked for, what counts as right, what was said; further numbers with their names."""
+    """One diagnosis: the question, the sets of effects that count as right, the result; further numbers with their names."""
 
     name: str
     question: str
@@ -37,7 +37,7 @@ class Run:
 
     @property
     def said(self) -> str:
-        """The answer in a few words."""
+        """The result in a few words."""
         if self.found.verdict == "named":
             tied = {name for tie in self.found.ties for name in tie}
             return " + ".join(_with_rivals(e.name, self.found.ties if e.name in tied else ()) for e in self.found.effects)
@@ -47,7 +47,7 @@ class Run:
 
     @property
     def right(self) -> bool:
-        """True if what was named is what was asked for."""
+        """True if the effects named are one of the sets that count as right."""
         return frozenset(e.name for e in self.found.effects) in self.wanted
 
 
@@ -69,7 +69,7 @@ def declared(kind: str, parameters: dict[str, float], output: str = "rad", **mor
 
 
 def taken(model: Model, entries: Sequence[Entry]) -> list[Record]:
-    """Return entries as the workflow takes them."""
+    """Return entries as records for the diagnosis."""
     return records_from_arrays(model, [(name, t, u, y) for name, t, u, y, _ in entries])
 
 
@@ -131,7 +131,7 @@ def whole_run(model: Model, effects: tuple[str, ...], own: dict[str, float], rec
 
 
 def xl330(tell: Callable[[str], None]) -> Iterator[Run]:
-    """A pendulum whose weight is hidden from the model: half a kilogram at 0.1 m, at four gains of its position loop."""
+    """A pendulum whose weight is missing from the model: half a kilogram at 0.1 m, at four gains of its position loop."""
     model = declared("voltage", {"J": 0.005, "a2": 0.03, "Fc": 0.04, "b": 0.1})
     records = taken(model, measured.xl330())
     tell("xl330")
@@ -177,7 +177,7 @@ def go1(tell: Callable[[str], None]) -> Iterator[Run]:
 
 
 def _warned(mass: float, own: dict[str, float], entries: Sequence[Entry]) -> str:
-    """Return what the plausibility check says to someone who knows mass and arm, and takes the torque for that of the joint."""
+    """Return the findings of the plausibility check if mass and arm are known and the torque is taken for that of the joint."""
     inertia = mass * ARM**2 + own["J"]
     bounds = {"J": [0.6 * inertia, 1.6 * inertia], "a2": [0.0, 1.0], "Fc": [0.0, 1.0]}
     model = declared("torque", {"J": inertia, "a2": own["a2"], "Fc": own["coulomb.Fc"]}, bounds=bounds)
@@ -187,7 +187,7 @@ def _warned(mass: float, own: dict[str, float], entries: Sequence[Entry]) -> str
 
 # -- ODrive --------------------------------------------------------------------------------------------------------------
 
-GONE_BELOW, SMALLER_BELOW = 0.05, 0.5  # of what it was
+GONE_BELOW, SMALLER_BELOW = 0.05, 0.5  # ripple over that without compensation, below which it is gone, much smaller
 
 
 def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
@@ -208,14 +208,14 @@ def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
         periods, amplitude, share = _strongest(records, model.parameters["b"])
         seen = f"{1e3 * amplitude:.2f}e-3 N·m, {periods} in a turn, {share:.0%} of its variance"
         numbers["strongest wave of the motor's torque along the position"] = seen
-        wanted = (frozenset({"cogging"}), *([frozenset[str]()] if compensated else []))  # what is made up for may not show
+        wanted = (frozenset({"cogging"}), *([frozenset[str]()] if compensated else []))  # a compensated effect may be invisible
         data = {"compensated": compensated, "gain": model.parameters["b"]}
         question = "cogging hidden, made up for" if compensated else "cogging hidden"
         yield Run(f"ODrive, compensation {word}", question, wanted, tuple(records), found, numbers, data)
 
 
 def _weakened(ratio: float) -> str:
-    """Return in words what is left of an effect."""
+    """Return in words how much of an effect is left."""
     return "gone" if ratio < GONE_BELOW else "much smaller, not gone" if ratio < SMALLER_BELOW else "not compensated"
 
 

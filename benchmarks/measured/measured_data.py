@@ -38,7 +38,7 @@ def _stretch(on: NDArray[np.bool_]) -> slice:
 
 
 def _run(name: str, settings: dict[str, Any], c: dict[str, Array], u: Array, shortest: float) -> list[Entry]:
-    """Return a run while its drive is on, if that lasts; a drive that is off carries no current, whatever its column says."""
+    """Return a run while its drive is on, if long enough; a drive that is off carries no current, whatever is logged."""
     on = _stretch(c["torque_enable"] > 0.5)
     if c["timestamp"][on][-1] - c["timestamp"][on][0] < shortest:
         return []

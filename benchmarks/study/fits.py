@@ -26,7 +26,7 @@ LEAN_FREE_PARAMETERS = {
     "coulomb": ("b", "a2", "coulomb.Fc"),
     "modified": ("b", "a2", "modified.sigma0", "modified.sigma1", "modified.sigma2", "modified.c", "modified.tau"),
 }
-FIXED = {"J": 1.0, "u_max": 1e6}  # acceleration instead of torque; the record holds what the drive got
+FIXED = {"J": 1.0, "u_max": 1e6}  # acceleration instead of torque; the record holds the voltage after saturation
 LOW = {"b": -np.inf, "modified.sigma1": -np.inf, "modified.sigma2": -np.inf}
 LEAN_LOWER_BOUND = 1e-9
 NUDGE = 1e-6  # rad/s
@@ -92,7 +92,7 @@ def fit(law: str, u: Array, v: Array, starts: Sequence[Mapping[str, float]], eva
 
 
 def neutral(law: str, b: float, alpha2: float, friction: float) -> list[dict[str, float]]:
-    """Return starts from what a regression at speed gives, the presliding distance over a decade."""
+    """Return start values from a regression at high speed, with presliding distances over a decade."""
     base = {"b": b, "a2": max(alpha2, LEAN_LOWER_BOUND)}
     if law == "viscous":
         return [base]

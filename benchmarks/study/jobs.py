@@ -1,4 +1,4 @@
-"""What the study computes for one record: every method on it, the baselines, the floor. One file of results a record."""
+"""Computations of the study for one record: every method, the baselines, the floor. One file of results a record."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LEAN = {  # a lean model's parameters by the estimates they come from
     "viscous": {"b": "b", "a2": "alpha2"},
 }  # fmt: skip
 LEAST = {"a2": 0.0, "modified.sigma0": 1e-6, "modified.c": 1e-6, "modified.tau": 0.0, "coulomb.Fc": 0.0}
-START_RATIO = 10.0  # starts are up to this factor off, either way
+START_RATIO = 10.0  # largest ratio of a start value to the true value, or the inverse
 ESTIMATED_PARAMETERS = ("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
 STUDY_RESOLUTION = 2 * math.pi / 40000
 
@@ -46,17 +46,17 @@ def estimators() -> list[str]:
 
 
 def known(method: str) -> list[Parameter]:
-    """Return the parameters of a method that say what it does not estimate."""
+    """Return the parameters of a method by which it is given what it does not estimate."""
     return [p for p in methods()[method].parameters if p.description.endswith("known")]
 
 
-def told(method: str, true: Mapping[str, float] = TRUE_PARAMETERS["S"]) -> dict[str, float]:
+def known_values(method: str, true: Mapping[str, float] = TRUE_PARAMETERS["S"]) -> dict[str, float]:
     """Return what a method takes as known, with true values (all plants have the same servo)."""
     return {p.name: true[p.symbol] for p in known(method)}
 
 
 def estimated(method: str) -> list[str]:
-    """Return what a method has an estimate of, valid or not, in the order of the tables."""
+    """Return the names of all estimates of a method, valid or not, in the order of the tables."""
     outputs = {variable.name: expression for variable, expression in observer(methods()[method]).outputs.values()}
     return [name for name in ESTIMATED_PARAMETERS if not outputs[f"{name}_hat"].is_constant()]
 
@@ -68,7 +68,7 @@ def observed(
     names = (*ESTIMATED_PARAMETERS, "Fc", "tau")
     theta, velocity = SENSOR_SIGNALS[sensor]
     inputs = {"u": data["u"], "y_theta": data[theta], "y_v": data[velocity]}
-    instance = Native(observer_program(method), {"sample_time": step, **told(method), **values})
+    instance = Native(observer_program(method), {"sample_time": step, **known_values(method), **values})
     columns = [*(f"{name}_hat" for name in names), *(f"{name}_valid" for name in names)]
     try:
         out, _ = instance.run(step, inputs, columns)
@@ -218,7 +218,7 @@ def two_bodies(plant: str, order: int, seed: int) -> Json:
                 if (name := started(method, p.name)) in presliding_benchmark.SET_Z_START
             }
             rows, valid, failure = observed(
-                method, data, sensor, begin | told(method, presliding_benchmark.SET_Z_TRUE), presliding_benchmark.SET_Z_STEP
+                method, data, sensor, begin | known_values(method, presliding_benchmark.SET_Z_TRUE), presliding_benchmark.SET_Z_STEP
             )
             names, error = errors(method, rows, valid, presliding_benchmark.SET_Z_TRUE)
             out[sensor][method] = {"errors": dict(zip(names, error[-1].tolist(), strict=True)), "failure": failure}

@@ -58,7 +58,7 @@ class Results:
         return [result for job, result in self.found.items() if (job.kind, job.plant) == (kind, plant)]
 
     def of_best(self, plant: str) -> list[Json]:
-        """Return the results of the best method from the encoder, also those on the records that it alone has."""
+        """Return the results of the best method from the encoder, also on the records that only it is run on."""
         return [*self.of("record", plant), *self.of("best", plant)]
 
     def methods(self, sensor: str, plant: str, method: str) -> list[Json]:
@@ -147,7 +147,7 @@ def changes(results: Results) -> str:
 
 
 def starts(results: Results) -> str:
-    """Return the table of starts that are far off."""
+    """Return the table of start values that are far off."""
     rows = []
     for method in estimators():
         counts = [[r[method] for r in results.of("starts", plant) if method in r] for plant in WITH_TRUTH]
@@ -158,7 +158,7 @@ def starts(results: Results) -> str:
 
 
 def bodies(results: Results) -> str:
-    """Return the table of the largest errors on the two rubbing presliding_benchmark."""
+    """Return the table of the largest errors on the two rubbing bodies (set Z)."""
     rows = []
     for method in estimators():
         cells = [method]
@@ -296,7 +296,7 @@ STUDY_INTRODUCTION = f"""# Observers compared
 the reference controller, on {{n}} records of each plant (seeds 1 to {{seeds}}, both orders of the reference; the best one on as
 many again, with the seeds that follow), from clean signals and from the encoder (40 000 counts a turn; velocity: differences of
 counts).
-Methods that take alpha2 and b as known are told the true ones. Each cell: median / worst record, of the worst of the parameters;
+Methods that take alpha2 and b as known get the true ones. Each cell: median / worst record, of the worst of the parameters;
 "never": not by the end, or no number; "failed": runs that ended early. An even number of records has the larger of the two in the
 middle as its median. Plants S, R: the modified law, parameters known. L0, L1: original LuGre without and with
 bristle damping; GMS: four Maxwell-slip elements; no observer's model contains them, and they are judged by eq. (25) on a second

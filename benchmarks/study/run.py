@@ -1,8 +1,8 @@
 """The comparative study: every observer on every plant; tables and figures in docs/study (see scripts/study).
 
-python benchmarks/study/run.py                    # all of it; goes on where it was stopped
+python benchmarks/study/run.py                    # all of it; an interrupted run continues
 python benchmarks/study/run.py --seeds 2          # a part
-python benchmarks/study/run.py --pages            # only the pages, from the results there are
+python benchmarks/study/run.py --pages            # only the pages, from the results so far
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ WORK: dict[str, Callable[[str, int, int], Any]] = {
 
 @dataclass(frozen=True)
 class Job:
-    """One file of results: what to compute, and of what."""
+    """One file of results: the computation, plant, order and seed."""
 
     kind: str
     plant: str
@@ -66,7 +66,7 @@ class Job:
 
 
 def plan(seeds: int) -> Iterator[Job]:
-    """Yield all jobs, the longest first. The best method gets as many records again, which no other one has seen."""
+    """Yield all jobs, the longest first. The best method is also run on as many further records."""
     first, again = range(1, seeds + 1), range(seeds + 1, 2 * seeds + 1)
     known = tuple(TRUE_PARAMETERS)
     kinds = (
@@ -79,7 +79,7 @@ def plan(seeds: int) -> Iterator[Job]:
 
 
 def results_folder(root: Path) -> Path:
-    """Return the folder for results of exactly these observers: changed ones are computed anew."""
+    """Return the folder for results of exactly these observers: results of other observers are kept apart."""
     digest = hashlib.sha256(repr(fingerprint(observer_program())).encode()).hexdigest()[:12]
     return root / digest
 
@@ -95,7 +95,7 @@ def compute(seeds: int, out: Path, workers: int) -> None:
             for future in as_completed([pool.submit(job.run, out) for job in todo]):
                 future.result()
                 bar.advance(task)
-    except BaseException:  # the rest is not waited for: what is done is kept, and each file is written in one piece
+    except BaseException:  # do not wait for the rest; each file of results is written in one piece
         pool.shutdown(wait=False, cancel_futures=True)
         for child in active_children():
             child.terminate()
@@ -130,5 +130,5 @@ if __name__ == "__main__":
     try:
         sys.exit(main())
     except KeyboardInterrupt:
-        print("stopped; what is done is kept, the same command goes on", file=sys.stderr)
+        print("stopped; finished results are kept, the same command continues", file=sys.stderr)
         sys.exit(130)

@@ -1,4 +1,4 @@
-"""Friction laws, one a file: a file here with a `LAW` is a law everywhere (FMU, scenarios, command line)."""
+"""Friction laws, one a file; each file that defines `LAW` is a law of the FMU, scenarios and the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coulomb friction as a set-valued law: it really sticks."""
+"""Coulomb friction as a set-valued law, with exact sticking."""
 
 from __future__ import annotations
 

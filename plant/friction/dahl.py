@@ -1,4 +1,4 @@
-"""The Dahl law: a spring that yields, the same at every speed."""
+"""The Dahl law: a spring that yields, independent of the speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The generalised Maxwell-slip law: elements that stick as springs and slip with a memory of their own."""
+"""The generalised Maxwell-slip law: elements that are springs while they stick, each with its own slip mode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Leuven law, modified: a deflection that relaxes, and hysteresis with a memory of every reversal."""
+"""The Leuven law, modified: a deflection that relaxes, and hysteresis by Maxwell-slip elements."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_pa
 from bristle.plant.maxwell import MAXWELL_ELEMENTS, MAXWELL_SHARES, element, memory, stiffnesses
 
 PLACES = range(1, MAXWELL_ELEMENTS + 1)
-_LEVEL = 0.008  # N.m that all elements hold together: more than Fs, else they all slip before it slides
+_LEVEL = 0.008  # N.m, sum of the friction levels of all elements; larger than Fs, else all slip before the servo slides
 
 
 def equations(p: Namespace, v: ca.SX) -> Friction:

@@ -1,4 +1,4 @@
-"""Set-valued friction that falls with the speed: it really sticks, and breaks away at more than it slides with."""
+"""Set-valued friction that falls with the speed: exact sticking, and a break-away torque above that of sliding."""
 
 from __future__ import annotations
 

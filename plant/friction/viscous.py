@@ -9,7 +9,7 @@ from bristle.plant.law import Friction, FrictionLaw
 
 
 def equations(p: Namespace, v: ca.SX) -> Friction:
-    """F = a2 v, which the servo has anyway.
+    """F = a2 v, which the servo itself adds.
 
     Source: dixit2008 eq. (8) with sigma0 = sigma1 = 0.
     """
