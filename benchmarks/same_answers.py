@@ -1,15 +1,20 @@
-"""Show that two states of the project give the same answers, digit by digit.
+"""Compare the results of two states of the project, digit by digit.
 
     git worktree add ../before REVISION && ../before/scripts/run            # the state to compare with, set up
     python benchmarks/same_answers.py collect before.json --bristle ../before/.venv/bin/bristle
     python benchmarks/same_answers.py collect after.json                    # the state of this environment
     python benchmarks/same_answers.py compare before.json after.json        # exit code 1 where they differ
 
-Collected through the command line alone, so that nothing inside needs to have the same name: the generated C and Python of all
-FMUs, signals.csv of all shipped scenarios, and the numbers and names of diagnosis.json for the cases of scenarios/hidden and for
-the measured sets in the folder that BRISTLE_DATA names (../shared/data without it; what is not there is left out). Sentences
-are not compared. Both states have to be collected on the same machine: sticking amplifies how a processor rounds. `collect` goes on
-where it was interrupted; `--quick` takes six hidden cases, two measured sets and three scenarios.
+The results are collected through the command line alone, so that both states may differ in everything inside:
+
+- FMU: SHA-256 of each C or Python source in the FMUs that `bristle build` writes;
+- scenario: SHA-256 of signals.csv at full rate, estimates and verdict of all shipped scenarios;
+- hidden, measured: numbers and names in diagnosis.json for the cases of scenarios/hidden, and for the measured sets in the folder
+  that BRISTLE_DATA names (default ../shared/data; missing sets are left out).
+
+Sentences, times and provenance are not compared, nor are keys that only the later state has. Collect both states on the same
+machine: friction that sticks amplifies differences in rounding. An interrupted `collect` continues with the missing results;
+`--quick` takes all FMUs, six hidden cases, two measured sets and three scenarios.
 """
 
 from __future__ import annotations
@@ -47,24 +52,25 @@ QUICK_SELECTION = {
     "hidden": ("01", "05", "07", "12", "18", "23"), "measured": ("odrive_off", "go1_2kg"),
     "scenario": ("quick", "self_starting", "lugre_original"),
 }  # fmt: skip
-NOMINAL_MODELS = {  # rough models of the measured sets
+NOMINAL_MODELS = {  # nominal models of the measured sets: kind of input, unit of the output, parameters [SI]
     "emps": ("voltage", "m", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": 35.15}),
     "xl330": ("voltage", "rad", {"J": 0.005, "a2": 0.03, "Fc": 0.04, "b": 0.1}),
     "go1": ("torque", "rad", {"J": 0.002, "a2": 0.02, "Fc": 0.02}),
     "odrive": ("current", "rad", {"J": 2.5e-4, "a2": 1e-3, "Fc": 5e-3, "b": 7.5e-3}),
 }
-UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
+SHOWN_DIFFERENCES = 60  # lines printed at most
+INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 
 
 def numbers_of(content: Any) -> Any:
-    """Return a result without its sentences."""
+    """Return a result without the keys that are not compared."""
     if isinstance(content, dict):
         return {key: numbers_of(value) for key, value in content.items() if key not in KEYS_NOT_COMPARED}
     return [numbers_of(each) for each in content] if isinstance(content, list) else content
 
 
 def run(command: Sequence[str], *arguments: str | Path) -> None:
-    """Run the command line; raise an error if it ends with code 2 or is killed."""
+    """Run bristle with one thread; raise an error if its exit code is neither 0 nor 1."""
     environment = os.environ | {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
     done = subprocess.run([*command, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
     if done.returncode not in (0, 1):
@@ -81,7 +87,7 @@ def diagnosed(command: Sequence[str], model: Path, data: Sequence[Path]) -> Json
 
 
 def simulated(command: Sequence[str], scenario: Path) -> Json:
-    """Return the hash of the signals of a scenario and the numbers of its result."""
+    """Return the hash of the signals of a scenario, its estimates and its verdict."""
     with tempfile.TemporaryDirectory() as out:
         run(command, "run", scenario, "--full", "--out", out)
         folder = Path(out, scenario.stem)
@@ -101,7 +107,7 @@ def built(command: Sequence[str], what: str, *options: str) -> Json:
 
 
 def measured_entries() -> Iterator[tuple[str, str, Sequence[measured.Entry]]]:
-    """Give name, rig and records of each measured set that is there."""
+    """Give name, rig and records of each measured set whose folder exists."""
     there = {path.name for path in measured.MEASURED_FOLDER.glob("*")}
     if "emps" in there:
         yield "emps", "emps", measured.emps()
@@ -117,7 +123,15 @@ def measured_case(folder: Path, rig: str, entries: Sequence[measured.Entry]) -> 
     """Write a model file and records into a folder and return where they are."""
     kind, unit, parameters = NOMINAL_MODELS[rig]
     lines = ['friction = "coulomb"', "[parameters]", *(f"{name} = {value!r}" for name, value in parameters.items())]
-    lines += ["[time]", 'column = "t"', 'unit = "s"', "[input]", 'column = "u"', f'kind = "{kind}"', f'unit = "{UNITS[kind]}"']
+    lines += [
+        "[time]",
+        'column = "t"',
+        'unit = "s"',
+        "[input]",
+        'column = "u"',
+        f'kind = "{kind}"',
+        f'unit = "{INPUT_UNITS[kind]}"',
+    ]
     lines += ["[output]", 'column = "y"', 'kind = "position"', f'unit = "{unit}"']
     folder.mkdir(parents=True, exist_ok=True)
     model = folder / "model.toml"
@@ -130,7 +144,7 @@ def measured_case(folder: Path, rig: str, entries: Sequence[measured.Entry]) -> 
 
 
 def jobs(command: Sequence[str], folder: Path, quick: bool) -> dict[str, Job]:
-    """Return what is collected, by name."""
+    """Return the functions that collect a result, by its name."""
     work: dict[str, Job] = {}
 
     def add(kind: str, name: str, function: Callable[..., Json], *arguments: Any) -> None:
@@ -151,7 +165,7 @@ def jobs(command: Sequence[str], folder: Path, quick: bool) -> dict[str, Job]:
 
 
 def collect(target: Path, command: Sequence[str], workers: int, quick: bool, only: Sequence[str]) -> int:
-    """Write the answers of one state into a file, going on with what is there."""
+    """Write the results of one state into a file; those that it holds already are kept."""
     answers: Json = json.loads(target.read_text(encoding="utf-8")) if target.exists() else {}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(workers) as pool:
         todo = {
@@ -168,7 +182,7 @@ def collect(target: Path, command: Sequence[str], workers: int, quick: bool, onl
 
 
 def differences(before: Any, after: Any, where: str) -> Iterator[str]:
-    """Give a line for each place at which two results differ; what only the later one has is no difference."""
+    """Give a line for each difference of two results; keys that only the later one has are no difference."""
     if isinstance(before, dict) and isinstance(after, dict):
         for key, value in before.items():
             yield from differences(value, after[key], f"{where} {key}") if key in after else [f"{where} {key}: gone"]
@@ -180,11 +194,11 @@ def differences(before: Any, after: Any, where: str) -> Iterator[str]:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Print where two files of answers differ, and return 1 if they do; one that lacks an answer differs."""
+    """Print the differences of two files of results; return 1 if there are any or the later one lacks a result."""
     old, new = (json.loads(path.read_text(encoding="utf-8")) for path in (before, after))
     lines = list(differences({key: old[key] for key in old if key in new}, new, ""))
     missing = sorted(set(old) - set(new))
-    for line in lines[:60]:
+    for line in lines[:SHOWN_DIFFERENCES]:
         print(line.strip())
     print(f"{len(lines)} differences in {len(set(old) & set(new))} answers; {len(missing)} missing {', '.join(missing)}".rstrip())
     return int(bool(lines or missing or not old))
@@ -207,7 +221,7 @@ def main() -> int:
     if given.verb == "compare":
         return compare(given.before, given.after)
     if given.bristle is None:
-        parser.error("no bristle on the path; give --bristle")
+        parser.error("no bristle on the path; give its path with --bristle")
     return collect(given.target, [given.bristle], given.jobs, given.quick, given.only)
 
 
