@@ -1,6 +1,6 @@
 """The command line: list, build, run, diagnose.
 
-Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an error, said in one line.
+Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an error, reported in one line.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_
 
 
 class Interrupted(BaseException):
-    """Ctrl-C or SIGTERM; not KeyboardInterrupt, which the option parser would turn into an exit code of its own."""
+    """Ctrl-C or SIGTERM; not a KeyboardInterrupt, which the option parser would turn into its own exit code."""
 
 
 class Kind(StrEnum):
@@ -182,7 +182,7 @@ def _report(done: Run, seconds: float) -> None:
 
 @contextmanager
 def _bar() -> Iterator[Progress | None]:
-    """Give a progress bar while a person looks on."""
+    """Give a progress bar on a terminal, else None."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -223,7 +223,7 @@ def _progress(name: str) -> Iterator[Callable[[str, int, int], None]]:
 
 @contextmanager
 def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
-    """Show the progress of one long work: what it does, and how much of the whole is done."""
+    """Show the progress of a long computation: its present step, and the share that is done."""
     with _bar() as bar:
         task = None if bar is None else bar.add_task("starting", name=name, total=1.0)
 
@@ -239,8 +239,8 @@ def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
 
 
 @app.command(
-    epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file says what the columns hold and what J and friction "
-    "nominally are. With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u [V] and theta [rad] "
+    epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction "
+    ". With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u [V] and theta [rad] "
     "or, of an FMU without it, v [rad/s]. "
     "Exit code 0: it completed, whatever it found; 2: an error."
 )
@@ -277,7 +277,7 @@ def diagnose(
 
 
 def _check_effect(name: str | None) -> None:
-    """Refuse an unknown effect before time is spent."""
+    """Raise BristleError for an unknown effect, before a long computation."""
     if name is not None:
         from bristle.plant.effects import effect
 
@@ -330,7 +330,7 @@ _interrupts: list[int] = []
 
 
 def _interrupt(number: int, _frame: object) -> None:
-    """Raise once; what comes after that lets the clean-up finish."""
+    """Raise once; later signals are ignored, so that the clean-up can finish."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
     _interrupts.append(number)
@@ -338,15 +338,15 @@ def _interrupt(number: int, _frame: object) -> None:
 
 
 def _check_interrupt() -> None:
-    """Raise again what was lost because it struck in a finaliser or a callback from C, where Python drops exceptions."""
+    """Raise an interrupt again that came in a finaliser or a callback from C, where Python drops exceptions."""
     if _interrupts:
         raise Interrupted(_interrupts[0])
 
 
 def main() -> None:
-    """Run the command line; every mistake of the user ends as one line and exit code 2."""
+    """Run the command line; an error ends with one line and exit code 2."""
     debug = "--debug" in sys.argv
-    for library in ("OPENBLAS", "OMP", "MKL"):  # before NumPy: on matrices this small its threads only wait for each other
+    for library in ("OPENBLAS", "OMP", "MKL"):  # before NumPy: its threads do not pay on matrices this small
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -369,7 +369,7 @@ def _show_warning(
 
 
 def _explain(error: BaseException) -> str:
-    """Say in one line what went wrong; wrong options are the option parser's own errors."""
+    """Return an error as one line; wrong options are errors of the option parser."""
     usage = getattr(error, "format_message", None)
     if isinstance(error, Interrupted):
         return "bristle: interrupted"
