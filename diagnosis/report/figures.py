@@ -138,7 +138,7 @@ def improved(diagnosis: Diagnosis) -> bool:
 
 
 def as_given(diagnosis: Diagnosis) -> bool:
-    """True if the model was not even fitted, for the data have to be mended first."""
+    """True if the model was not even fitted, for the data have to be corrected first."""
     return bool(diagnosis.proposals) and not diagnosis.rounds
 
 

@@ -44,7 +44,9 @@ def headline(diagnosis: Diagnosis) -> str:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
     wording = Rig.of(diagnosis).wording
     if diagnosis.verdict == "named":
-        return f"The model lacks: {effects_listed([effect.name for effect in diagnosis.effects], 'and', wording)}"
+        ties = {name: tie for tie in diagnosis.ties for name in tie}
+        sets = [effects_listed(ties.get(each.name, (each.name,)), "or", wording) for each in diagnosis.effects]
+        return f"The model lacks: {listed(sets, 'and')}"
     if diagnosis.verdict == "tie":
         sets = "; ".join(effects_listed(tie, "or", wording) for tie in diagnosis.ties)
         return f"The model lacks one of: {sets}; the records fit each equally well"

@@ -1,4 +1,4 @@
-"""What a diagnosis says: the content of diagnosis.json, and what the report draws beside it."""
+"""The result of a diagnosis: the content of diagnosis.json, and the curves that the report draws."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that was added: `gain` is the rise of the log-likelihood [nats], `p` how often chance gives as much."""
+    """An effect that was added: `gain` is the rise of the log-likelihood [nats], `p` the probability of as much by chance."""
 
     name: str
     group: str
@@ -29,11 +29,20 @@ class Named:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One bar of the chart of a round: gain of an effect [nats], the level that chance reaches, a note.
+    """A candidate effect of a round.
 
-    An effect that could not be tried has no gain (NaN, null in diagnosis.json), and the note says why.
-    Of those above chance: `size`, the factor by which the mean squared error falls; `kept`, the gain on segments kept from
-    the search [nats]; `behind`, by how much the best one is likelier, and `doubt`, the standard error of that [nats].
+    Attributes
+    ----------
+    gain, level : float
+        Rise of the log-likelihood, and the rise that chance reaches [nats]; NaN (null in diagnosis.json) if it was not tried.
+    note : str
+        Why it was not tried, or an empty text.
+    size : float, optional
+        Factor by which the mean squared error falls; this and what follows only of candidates above chance.
+    kept : float, optional
+        Gain on held-out segments [nats].
+    behind, doubt : float, optional
+        Log-likelihood of the best candidate above that of this one, and its standard error [nats].
     """
 
     name: str
@@ -48,25 +57,41 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Round:
-    """One step of the stepwise search: all candidates, the level of its best one that chance reaches, and what was decided."""
+    """One round of the stepwise search.
+
+    Attributes
+    ----------
+    null_level, p : float
+        Gain that chance reaches for the best candidate [nats], and the probability of its gain by chance.
+    added : str or None
+        The effect that was added.
+    decision : str
+        The decision and its reason.
+    gain, size : float
+        Gain of the best candidate under the noise that it leaves [nats]; factor by which it lowers the mean squared error.
+    finer : float, optional
+        The same gain with finer steps of the simulation.
+    rejected : str or None
+        The best candidate, if it was not added for a reason of its own.
+    """
 
     candidates: tuple[Candidate, ...]
     null_level: float
     p: float
     added: str | None
     decision: str
-    gain: float = 0.0  # of the best one, under the noise that it leaves
-    size: float = 1.0  # factor by which it lowers the mean squared error
-    finer: float | None = None  # the same gain with finer steps of the simulation
-    rejected: str | None = None  # the best candidate, if it was not added for a reason of its own
+    gain: float = 0.0
+    size: float = 1.0
+    finer: float | None = None
+    rejected: str | None = None
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean squared output error over held-out segments [`unit`], start states at their best.
+    """Mean squared output error over held-out segments [`unit`], with optimal initial states.
 
-    `before`: of the model refitted without effects; `after`: with what was found; `noise_floor`: what disturbance and sensor
-    alone would leave, None where that is not known; `output_unit` is that of the output. `ratio`: before over floor;
+    `before`: of the model refitted without effects; `after`: with the named ones; `noise_floor`: what disturbance and sensor
+    noise alone would leave, None where that is not known; `output_unit` is that of the output. `ratio`: before over floor;
     `shrink`: share of what is above the floor that was closed.
     """
 
@@ -101,7 +126,7 @@ class Trace:
     """Measured and simulated output of one record, segment by segment (NaN where it was not compared).
 
     All arrays are (n,), an average a bin: `time` [s], `input` [unit of the input in SI], `measured`, `before` and `after`
-    [output]; `held_out` is true where the search did not see.
+    [output]; `held_out` is true in held-out segments.
     """
 
     name: str
@@ -153,7 +178,7 @@ class Diagnosis:
     model : Model
         The model that was diagnosed.
     proposals : tuple of str
-        What to mend in data or model first: a sign, a factor of a unit, a bound.
+        What to correct in data or model first: a sign, a factor of a unit, a bound.
     seconds : float
         How long it took [s].
     choices : dict of str to dict of str to Estimate

@@ -143,7 +143,7 @@ def statement(facts: Facts) -> tuple[str, ...]:
     """Return the answer, one sentence or two a line."""
     return (
         *(_missing(effect, facts.wording) for effect in facts.effects),
-        *(f"These records cannot distinguish {effects_listed(tie, 'from', facts.wording)}." for tie in facts.ties),
+        *(_tie(tie, facts) for tie in facts.ties),
         *_without_name(facts),
         _error(facts),
         *unexplained_lines(facts.remains, facts.wording, bool(facts.ties and not facts.effects)),
@@ -159,6 +159,14 @@ def _missing(e: Named, wording: Wording) -> str:
         f"Missing: {effect_name(e.name, wording)}{about}. "
         f"Estimated, with 95 % intervals: {found}. Probability that chance improves the fit as much: p ≤ {e.p:.2g}."
     )
+
+
+def _tie(tie: Sequence[str], facts: Facts) -> str:
+    named = [effect.name for effect in facts.effects if effect.name in tie]
+    if not named:
+        return f"These records cannot distinguish {effects_listed(tie, 'from', facts.wording)}."
+    others = effects_listed([name for name in tie if name not in named], "or", facts.wording)
+    return f"These records cannot distinguish {effects_listed(named, 'and', facts.wording)} from {others}, which fits equally well."
 
 
 def _without_name(facts: Facts) -> Iterator[str]:

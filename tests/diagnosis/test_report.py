@@ -166,6 +166,13 @@ def test_a_record_may_have_any_name(answer, recwarn):
     assert not recwarn.list
 
 
+def test_a_name_that_stands_for_its_class_says_so(answer):
+    named = replace(answer("named"), ties=(("cogging", "gravity"),))
+    assert "The model lacks: cogging torque (cogging) or gravity on an unbalanced mass (gravity)" in text_of(page_of(named))
+    lines = statement(Facts("named", named.gap, named.remains, named.effects, named.ties))
+    assert lines[1].endswith("from gravity on an unbalanced mass (gravity), which fits equally well.")
+
+
 def test_what_ties_is_red_whatever_the_verdict(answer):
     named = answer("named")
     assert RED.lower() not in draw(named)["candidates"].lower()
