@@ -45,8 +45,8 @@ def headline(diagnosis: Diagnosis) -> str:
     wording = Rig.of(diagnosis).wording
     if diagnosis.verdict == "named":
         ties = {name: tie for tie in diagnosis.ties for name in tie}
-        sets = [effects_listed(ties.get(each.name, (each.name,)), "or", wording) for each in diagnosis.effects]
-        return f"The model lacks: {listed(sets, 'and')}"
+        lacking = [effects_listed(ties.get(each.name, (each.name,)), "or", wording) for each in diagnosis.effects]
+        return f"The model lacks: {listed(lacking, 'and')}"
     if diagnosis.verdict == "tie":
         sets = "; ".join(effects_listed(tie, "or", wording) for tie in diagnosis.ties)
         return f"The model lacks one of: {sets}; the records fit each equally well"
