@@ -36,7 +36,7 @@ from bristle.observer import observer_program
 ROOT = Path(__file__).resolve().parents[2]
 STUDIED = ("S", "R", "L0", "L1", "GMS")
 ORDERS = (1, 2)
-STARTS_PER_RECORD = 5  # on each record, so that 24 records make more than a hundred
+STARTS_PER_RECORD = 5  # start values drawn on each record
 WORK: dict[str, Callable[[str, int, int], Any]] = {
     "record": jobs.whole,
     "best": jobs.best_alone,

@@ -1,4 +1,4 @@
-"""The verdict where nothing was named: what the records leave open depends on how varied the motion is."""
+"""The verdict where no effect was named: what the records leave open depends on how varied the motion is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plant FMU as the model: what it lacks is named, what it has is not, and what is odd about it is said."""
+"""A plant FMU as the model: the effect it lacks is named, one it has is not, and peculiarities of the FMU are reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The balance of torques along the measured motion: model and effect at once, from a start that a simulation gets stuck at."""
+"""Inverse dynamics along the measured motion: model and effect are fitted together, where simulations diverge from the start."""
 
 from __future__ import annotations
 

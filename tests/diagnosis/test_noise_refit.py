@@ -1,4 +1,4 @@
-"""Parameters and noise estimated in turn: what a model explains in part must not hide in the noise that it leaves."""
+"""Parameters and noise estimated in turn: the noise model must not take up what the model explains only in part."""
 
 from __future__ import annotations
 

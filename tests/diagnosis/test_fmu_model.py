@@ -1,4 +1,4 @@
-"""A plant FMU as a model: what it says of itself is enough, or it is said what is missing."""
+"""The model that a plant FMU alone defines: complete, or the missing parameter is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An input that changed between samples is found out, and taken as it was on average; one that was held stays."""
+"""An input that changed between samples is detected and averaged; an input that was held is kept."""
 
 from __future__ import annotations
 

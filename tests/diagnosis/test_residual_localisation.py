@@ -1,4 +1,4 @@
-"""Views: a residual that follows one is found there, with its share; noise is found nowhere."""
+"""Views of the residual: a residual that depends on one is located there with its share; noise is located nowhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rules of the search: what is large or beyond doubt, what only mends a form, what may be seen, how wide an interval is."""
+"""Rules by which the search accepts effects: size and significance, changes of form, detectable size, width of intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said to remain: neither what is small, nor the form of what was named, but a wave that it should have taken up."""
+"""The unexplained residual: no flag for a small one or for the form of a named effect, but one for a wave that is left."""
 
 from __future__ import annotations
 
