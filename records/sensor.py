@@ -178,7 +178,7 @@ def _counter(turn: float, resolution: float | None) -> float | None:
 
 
 def report_frozen(raw: Raw, resolution: float | None) -> None:
-    """Report an output that freezes in motion and then catches up, or stands still under a sweeping input."""
+    """Report an output that freezes in motion and then catches up, or stays at rest while the input covers most of its range."""
     same = np.diff(raw.y) == 0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
     runs = edges.reshape(-1, 2)  # differences start..end-1 are zero
@@ -197,7 +197,7 @@ def report_frozen(raw: Raw, resolution: float | None) -> None:
             still.append((start, end))
     for runs_found, what in (
         (caught, "the output freezes in motion and then catches up: samples were lost; cut these parts"),
-        (still, "the output stands still while the input sweeps most of its range: a stop, a drive that is off, a stuck sensor?"),
+        (still, "the output stands still while the input covers most of its range: a stop, a drive that is off, a stuck sensor?"),
     ):
         if runs_found:
             start, end = runs_found[0]
