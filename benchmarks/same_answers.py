@@ -45,7 +45,7 @@ Json = dict[str, Any]
 Job = Callable[[], Json]
 
 KEYS_NOT_COMPARED = {  # keys of diagnosis.json that hold sentences or times, at any depth
-    "statement", "findings", "proposals", "experiment", "undetected", "decision", "note", "label", "seconds", "narrow",
+    "statement", "findings", "proposals", "experiment", "undetected", "decision", "note", "label", "seconds", "narrow", "caveats",
     "provenance", "wall_s",
 }  # fmt: skip
 QUICK_SELECTION = {

@@ -43,8 +43,8 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain numbers, and ``{"value", "unit"}`` for what has a unit; ``narrow`` says why the records do not tell effects
-        apart by their form, ``caveats`` what else they cannot show.
+        Plain numbers, and ``{"value", "unit"}`` for what has a unit; ``narrow`` says why effects cannot be distinguished
+        by their form, ``caveats`` what else they cannot show.
     """
     length = "m" if model.linear else "rad"
     positions, velocities = zip(*(_motion(model, r) for r in records), strict=True)
@@ -93,7 +93,7 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
 
 
 def _poor_excitation(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> str:
-    """Return why effects cannot be told apart by their form on such records, or an empty text.
+    """Return why effects cannot be distinguished by their form on such records, or an empty text.
 
     Where the servo repeats one motion or hardly turns, speed, position and torque vary together: nearly any effect can
     replace another whose form differs a little from that of the catalogue. The same holds for short records.
@@ -135,8 +135,8 @@ def _reversals(v: Array, rest: float, h: float) -> int:
     sense = sense[sense != 0]
     edges = np.flatnonzero(np.diff(sense)) + 1
     runs = np.diff([0, *edges.tolist(), len(sense)])
-    kept = sense[np.concatenate([[0], edges])][runs * h >= REVERSAL_DWELL] if len(sense) else sense
-    return int(np.sum(np.diff(kept) != 0))
+    directions = sense[np.concatenate([[0], edges])][runs * h >= REVERSAL_DWELL] if len(sense) else sense
+    return int(np.sum(np.diff(directions) != 0))
 
 
 def _spectrum(signal: Array, h: float) -> tuple[float, float]:

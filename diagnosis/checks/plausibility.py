@@ -17,7 +17,7 @@ from bristle.diagnosis.checks.torque_regression import Regression, explained_sha
 from bristle.diagnosis.modelfile import Model
 from bristle.records.record import Record
 
-NAMES = ("J", "a2", "Fc")  # what the regression estimates
+REGRESSION_NAMES = ("J", "a2", "Fc")  # what the regression estimates
 UNIT_FACTOR = 5.0  # factor beyond which a nominal value is wrong and not merely inaccurate
 CAUSE_TOLERANCE = (3.0, 8.0, 3.0)  # factors of J, a2, Fc within which one cause explains their ratios
 ABSURD_FACTOR = 30.0  # factor beyond which one wrong value is enough for a proposal
@@ -43,7 +43,7 @@ ROTARY_UNITS = ("deg", "rev", "rpm")  # no units of a linear axis
 
 @dataclass(frozen=True)
 class Plausibility:
-    """What the regression says of the data.
+    """What the regression shows of the data.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def check(model: Model, records: Sequence[Record]) -> Plausibility:
     if found is None:
         return Plausibility((), ("too little motion to check signs and units",))
     fit: dict[str, dict[str, float] | float] = {
-        name: {"value": float(found.value[i]), "se": float(found.error[i])} for i, name in enumerate(NAMES)
+        name: {"value": float(found.value[i]), "se": float(found.error[i])} for i, name in enumerate(REGRESSION_NAMES)
     }
     fit["explained"] = found.explained
     findings = tuple(_outside_bounds(model, found))
@@ -153,7 +153,7 @@ def _flipped(found: Regression, given: float, dry: bool, alone: bool) -> str | N
     flipped, _ = explained_share(found.rows, -1.0)
     if not (1.0 - given > CLEARER_RATIO * (1.0 - flipped) and flipped > 0.2):
         return None
-    advice = 'turn it: scale = "-1" beside the unit in [input], or in [output] if that is what is turned'
+    advice = 'reverse it with scale = "-1" beside the unit in [input], or in [output] if its sign is the wrong one'
     return (
         f"input sign looks flipped: with -u the model explains {flipped:.0%} of the torque, as given {given:.0%} "
         f"(J {found.value[0]:.3g}, Fc {found.value[2]:.3g}); {_advice(advice, alone)}"
@@ -208,7 +208,7 @@ def _wrong_factor(model: Model, nominal: Array, found: Regression, alone: bool =
     if not causes or abs(causes[0][2]) < math.log(UNIT_FACTOR):
         return None
     (_, cause, size), *others = causes
-    ratios = ", ".join(f"{name} x{math.exp(x):.3g}" for name, x, used in zip(NAMES, off, use, strict=True) if used)
+    ratios = ", ".join(f"{name} x{math.exp(x):.3g}" for name, x, used in zip(REGRESSION_NAMES, off, use, strict=True) if used)
     other = "".join(f", or {_size(model, cause, size)}" for _, cause, size in others if abs(size) > math.log(CAUSE_TOLERANCE[0]))
     column = {"input": model.input, "output": model.output, "time": model.time}[cause]
     where = _advice(f"check the unit '{column.unit}' of column '{column.column}'", alone)

@@ -161,7 +161,7 @@ class Dataset:
     least_sd : float
         Standard deviation of an average below which the sensor's noise cannot be [unit of the output].
     poor_excitation : str
-        Why the records do not tell effects apart by their form; empty if they do.
+        Why effects cannot be distinguished by their form in these records; empty if they can.
     excluded : mapping
         Why an effect is no candidate, by its name.
     linear : bool

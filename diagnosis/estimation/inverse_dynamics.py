@@ -125,8 +125,8 @@ class Balance:
 
     def respond(self, acceleration: Array) -> Array:
         """Return the response (segments, bins, k) of the whitened averages to accelerations (points, k), which are 0 at rest."""
-        held = acceleration.reshape(*self.shape, -1) * self._moving[:, :, None]
-        return np.asarray(np.einsum("nl,slk->snk", self._through, held, optimize=True))
+        moving = acceleration.reshape(*self.shape, -1) * self._moving[:, :, None]
+        return np.asarray(np.einsum("nl,slk->snk", self._through, moving, optimize=True))
 
     def weight(self, residual: Array) -> Array:
         """Return 1 for segments that count (segments,), else 0."""
@@ -204,7 +204,7 @@ class Balance:
         return Balanced(values, total, residual, weight), slopes
 
     def regress(self, found: Balanced, own: Array, inertia: float, torques: Array) -> tuple[Array, float]:
-        """Return coefficients (k,) of torques (points, k) [N.m] beside the model's own slopes, and their gain [nats]."""
+        """Return coefficients (k,) of torques (points, k) [N.m] with the model's own slopes, and their gain [nats]."""
         columns = self.respond(torques / inertia)
         k = columns.shape[2]
         both = np.concatenate([columns, own], axis=2)

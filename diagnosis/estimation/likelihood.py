@@ -225,14 +225,16 @@ def scored(problem: Problem, point: Point, found: Linearised) -> Fit:
     mean, deviation = problem.prior_states(point.simulator, point.values)
     precision, offset = deviation**-2, mean - point.initial
     elimination = Elimination.of(found.by_initial, white, precision, offset)
-    whole = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
-    left = np.maximum(whole - np.einsum("si,si->s", elimination.gradient, elimination.step(elimination.gradient)), 0.0)
-    misfit = np.where(found.good, left, FAILED_MISFIT)
+    misfit_at_initial = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
+    eliminated = np.maximum(
+        misfit_at_initial - np.einsum("si,si->s", elimination.gradient, elimination.step(elimination.gradient)), 0.0
+    )
+    misfit = np.where(found.good, eliminated, FAILED_MISFIT)
     n = white.shape[1] - 2
     cost = 0.5 * problem.noise.log_det + initial_state_price(elimination, precision) * found.good
     score, score_at_initial = (
         -0.5 * (T_DEGREES_OF_FREEDOM + n) * np.log1p(each / T_DEGREES_OF_FREEDOM) - cost
-        for each in (misfit, np.where(found.good, whole, FAILED_MISFIT))
+        for each in (misfit, np.where(found.good, misfit_at_initial, FAILED_MISFIT))
     )
     score = np.where(problem.counted, score, 0.0)
     weight = np.where(problem.counted & found.good, (T_DEGREES_OF_FREEDOM + n) / (T_DEGREES_OF_FREEDOM + misfit), 0.0)

@@ -118,8 +118,8 @@ class Simulator:
         if not self.play:
             return np.empty(0)
         u, v = self._usual
-        bend = abs(values["b"]) * u / self._value(f"{self.play.split('.')[0]}.stiffness", values)
-        return np.array([1.0 + bend / self._half(values), LOAD_SPEED_SHARE * v + 1e-9])
+        deflection = abs(values["b"]) * u / self._value(f"{self.play.split('.')[0]}.stiffness", values)
+        return np.array([1.0 + deflection / self._half(values), LOAD_SPEED_SHARE * v + 1e-9])
 
     @cached_property
     def _usual(self) -> tuple[float, float]:
@@ -164,10 +164,10 @@ class Simulator:
         found = [np.concatenate(columns) for columns in zip(*run(one, self._natives, pieces, parts), strict=True)]
         simulated, sens, good, initial = found
         if self.play:
-            self._over_play(values, initial, sens if jacobian else None)
+            self._scale_by_play(values, initial, sens if jacobian else None)
         return simulated, sens if jacobian else None, good, initial
 
-    def _over_play(self, values: Mapping[str, float], initial: Array, sens: Array | None) -> None:
+    def _scale_by_play(self, values: Mapping[str, float], initial: Array, sens: Array | None) -> None:
         """Scale a load's place by half the play, in place, so that it stays in contact when the play changes."""
         half, place = self._half(values), len(self.names) + 2
         initial[:, 2] /= half
@@ -286,14 +286,14 @@ class Servo:
     def simulator(self, segments: Segments, more: tuple[str, ...] = ()) -> Simulator:
         """Return a simulator of the servo with more effects added."""
         effects = (*self.effects, *more)
-        bent = self.rigid and not set(effects) & set(BRISTLE_EFFECTS)
-        return Simulator(self.law, (*effects, OWN_BRISTLES) if bent else effects, segments, self.base, self.fixed)
+        bristles = self.rigid and not set(effects) & set(BRISTLE_EFFECTS)
+        return Simulator(self.law, (*effects, OWN_BRISTLES) if bristles else effects, segments, self.base, self.fixed)
 
-    def own(self, name: str) -> tuple[Free, ...]:
+    def free_beside(self, name: str) -> tuple[Free, ...]:
         """Return the free parameters that stay when an effect is added."""
         return tuple(f for f in self.free if name not in BRISTLE_EFFECTS or not f.name.startswith(f"{OWN_BRISTLES}."))
 
-    def outdone(self, name: str, values: Mapping[str, float]) -> bool:
+    def adds_no_bristles(self, name: str, values: Mapping[str, float]) -> bool:
         """True if the bristles of an effect are as stiff as the servo's own, so that it adds nothing."""
         if name not in BRISTLE_EFFECTS or not self.rigid:
             return False

@@ -191,7 +191,7 @@ def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candid
     for start in (*context.start_values(name, context.evidence), *bristle_starts(context.fitted, name)):
         values = {f"{name}.{k}": v for k, v in start.items()}
         first = _fit_at(context, simulator, name, start, (values, fit.initial))
-        explained.append(_explained(context, first, len(first.free) - len(context.fitted.servo.own(name))))
+        explained.append(_explained(context, first, len(first.free) - len(context.fitted.servo.free_beside(name))))
         trials.append(value_under_noise(first, context.screening_noise))
     for joint in context.joint_starts(name):
         alone = {key: value for key, value in joint.values.items() if key.startswith(f"{name}.")}
@@ -211,7 +211,7 @@ def _fit_at(context: SearchContext, simulator: Simulator, name: str, start: Star
     """
     problem, fit, servo = context.fitted.problem, context.fit, context.fitted.servo
     values, states = place
-    free = (*servo.own(name), *free_parameters(name, start, servo.limits))
+    free = (*servo.free_beside(name), *free_parameters(name, start, servo.limits))
     defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
     whole = {**defaults, **fit.values, **values}
     inside = {f.name: f.clip(whole[f.name]) for f in free}

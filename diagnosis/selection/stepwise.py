@@ -126,7 +126,7 @@ def evaluate_candidates(context: SearchContext, names: Sequence[str], effort: Ef
     """Try the named effects on top of a fitted model, and compare those above the null's level."""
     fit, servo = context.fit, context.fitted.servo
     tried, null = fit_candidates(context, names, effort)
-    fitted = [c for c in tried if c.fit is not None and not servo.outdone(c.name, c.fit.values)]
+    fitted = [c for c in tried if c.fit is not None and not servo.adds_no_bristles(c.name, c.fit.values)]
     if not fitted:
         return SearchRound(tuple(tried), null, fit.total, decision="no effect can be added to this model")
     best = max(fitted, key=lambda c: c.penalised_likelihood)

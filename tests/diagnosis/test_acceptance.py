@@ -240,10 +240,10 @@ def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
     servo = case(None).base.servo
     [own] = [f.nominal_value for f in servo.free if f.name == "bristle_damping.stiffness"]
     for name, factor, outdone in (("presliding", 1.01, True), ("bristle_damping", 1.01, True), ("presliding", 0.5, False)):
-        assert servo.outdone(name, {f"{name}.stiffness": factor * own}) is outdone
-    assert not servo.outdone("compliance", {"compliance.stiffness": 10 * own})
+        assert servo.adds_no_bristles(name, {f"{name}.stiffness": factor * own}) is outdone
+    assert not servo.adds_no_bristles("compliance", {"compliance.stiffness": 10 * own})
     bent = replace(servo, rigid=False, free=tuple(replace(f, nominal=None) for f in servo.free))  # with such an effect already
-    assert not bent.outdone("presliding", {"presliding.stiffness": 10 * own})
+    assert not bent.adds_no_bristles("presliding", {"presliding.stiffness": 10 * own})
 
 
 def test_bristles_also_begin_as_those_of_the_model(case):
