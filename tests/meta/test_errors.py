@@ -23,10 +23,7 @@ def exceptions(modules):
         f"{each.__module__}.{name}": each
         for module in modules.values()
         for name, each in inspect.getmembers(module, inspect.isclass)
-        if issubclass(each, BaseException)
-        and each.__module__ == module.__name__
-        and not name.startswith("_")
-        and name != "NotHeldError"
+        if issubclass(each, BaseException) and each.__module__ == module.__name__ and not name.startswith("_")
     }
 
 
