@@ -310,6 +310,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", list(FORMS))
+@pytest.mark.slow
 def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
     """And only where the records call for it; what is left then is what the right form leaves."""
     bending = effect(name).shape_parameters
@@ -343,6 +344,7 @@ def test_every_form_is_tried():
     assert set(FORMS) == {name for name in SHIPPED if effect(name).shape_starts}
 
 
+@pytest.mark.slow
 def test_an_exhaustive_search_finds_what_a_quick_one_does_not(case):
     """A shaft that two start values and few steps miss by thousands of nats; the poor fit is noticed."""
     made = case("compliance", share=0.25, stiffness=3.0, damping=0.004)

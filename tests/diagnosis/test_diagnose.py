@@ -22,6 +22,7 @@ from bristle.model.native import Native
 from bristle.plant.effects import effects
 from bristle.plant.servo import servo_program
 
+pytestmark = pytest.mark.slow  # the diagnosis that most of them look at
 HIDDEN = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07"
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 

@@ -152,6 +152,7 @@ def test_what_counts_as_right(scorer: ModuleType, kind: str, truth: list[str], a
 
 
 @pytest.mark.parametrize("what", ["gravity", "noise_only"])
+@pytest.mark.slow
 def test_a_case_is_diagnosed_and_scored(scorer: ModuleType, answers: dict[str, Any], tmp_path: Path, what: str) -> None:
     [name] = [n for n, a in answers.items() if a["variant"] == what or [e["name"] for e in a["effects"]] == [what]]
     found = scorer.diagnosed(HIDDEN / name, tmp_path)

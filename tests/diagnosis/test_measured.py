@@ -10,6 +10,7 @@ from bristle.diagnosis import Model, diagnose, records_from_arrays
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import check
 
+pytestmark = pytest.mark.slow
 _PATH = Path(__file__).parents[2] / "benchmarks" / "measured" / "measured_data.py"
 _spec = importlib.util.spec_from_file_location("measured", _PATH)
 assert _spec is not None

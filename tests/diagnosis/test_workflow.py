@@ -162,6 +162,7 @@ def test_a_bound_that_the_base_refit_ends_at_is_said(call: Call, measured: Calla
     assert "augmented.fmu" in answer["files"]
 
 
+@pytest.mark.slow
 def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     measured: Callable[..., Any], model: Model, tmp_path: Path
 ) -> None:
@@ -183,6 +184,7 @@ def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     assert again.gap.before == pytest.approx(first.gap.after, rel=0.4)  # what a prior holds differs a little
 
 
+@pytest.mark.slow
 def test_a_linear_axis_has_nothing_that_turns(measured: Callable[..., Any], tree: dict[str, Any]) -> None:
     tree["input"] = {"column": "u", "kind": "force", "unit": "N"}
     tree["output"] = {"column": "x", "kind": "position", "unit": "m"}
@@ -222,6 +224,7 @@ LUGRE = {"sigma0": 100.0, "sigma1": 0.5, "Fc": 0.12, "Fs": 0.15, "vs": 0.2}
         ("coulomb", {"Fc": 0.12}, "current", "position"),
     ],
 )
+@pytest.mark.slow
 def test_any_law_input_and_output(
     friction: str, own: dict[str, float], kind: str, output: str, measured: Callable[..., Any], tree: dict[str, Any]
 ) -> None:
