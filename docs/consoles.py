@@ -1,7 +1,8 @@
 """Run the commands of the tutorials: python docs/consoles.py [PAGE ...] rewrites the output below each command.
 
 A page has blocks of three kinds: `console` (lines that begin with "$ " are commands, the others their output), and blocks with a
-title="FILE", which are written to that file before the commands that follow. All commands of a page run in one shell and one folder.
+title="FILE", which are written to that file before the commands that follow. All commands of a page run
+in one shell and one folder.
 """
 
 from __future__ import annotations

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import posixpath
 import re
+import tempfile
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from mkdocs.plugins import event_priority
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -17,9 +21,24 @@ if TYPE_CHECKING:
     from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
+TREE = tempfile.TemporaryDirectory()  # kept as long as the process
 FIRST_PAGE = "README.md"
-ALSO = (FIRST_PAGE, "CHANGELOG.md")  # pages outside docs/ that the navigation names
 LINK = re.compile(r"(?<=\]\()([^)#:\s]+)(?=[)#])")
+
+
+@event_priority(100)  # before mkdocstrings reads its settings
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Give the API pages the packages in one tree, as they install; pyproject.toml maps them to folders."""
+    tree = Path(TREE.name)
+    packages = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-dir"]
+    for package, folder in packages.items():
+        (tree / package.replace(".", "/")).mkdir(parents=True, exist_ok=True)
+        for file in (ROOT / folder).glob("*.py"):
+            link = tree / package.replace(".", "/") / file.name
+            if not link.exists():
+                link.symlink_to(file)
+    config.plugins["mkdocstrings"].config["handlers"]["python"]["paths"] = [str(tree)]
+    return config
 
 
 def site_path(path: str) -> str:
@@ -41,15 +60,23 @@ def targets(path: str) -> list[str]:
     return [target for target in found if (ROOT / target).is_file()]
 
 
+def named_pages(nav: object) -> list[str]:
+    """Return the files of the repository that the navigation names."""
+    if isinstance(nav, str):
+        return [repository_path(nav)]
+    parts = nav.values() if isinstance(nav, dict) else nav if isinstance(nav, list) else ()
+    return [path for part in parts for path in named_pages(part)]
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the files outside docs/ that pages link to, and those that they link to."""
     from mkdocs.structure.files import File
 
     seen: set[str] = set()
-    queue = [*ALSO, *(f"docs/{file.src_uri}" for file in files.documentation_pages())]
+    queue = [*named_pages(config.nav), *(f"docs/{file.src_uri}" for file in files.documentation_pages())]
     while queue:
         path = queue.pop()
-        if path in seen:
+        if path in seen or not (ROOT / path).is_file():
             continue
         seen.add(path)
         if not path.startswith("docs/"):
