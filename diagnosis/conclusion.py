@@ -1,102 +1,296 @@
-"""After the search: what was found, as a `Diagnosis`."""
+"""After the search: what the records say, gathered as a `Conclusion` and then written as a `Diagnosis`."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bristle.diagnosis.checks.excitation import VELOCITY_CAVEAT, excitation
 from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.fitted_model import FittedModel, disturbance_ratio, has_outliers_or_disturbance
+from bristle.diagnosis.estimation.fitted_model import FittedModel, disturbance_ratio, fit_with_noise, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.likelihood import Fit, errors, mean_square, squares
 from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
 from bristle.diagnosis.estimation.uncertainty import estimates
 from bristle.diagnosis.localisation.residual_localisation import localise
 from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, unexplained
-from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.localisation.views import Share
+from bristle.diagnosis.modelfile import BOUND_FACTOR, Model
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.report.text import Facts, experiment, statement, undetected
 from bristle.diagnosis.selection.candidates import Assessment, Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.effect_size import fall
+from bristle.diagnosis.selection.stepwise import SearchOutcome
 from bristle.plant.effects import effect as find_effect
 from bristle.records.record import Record
 
 KNOWN_HALF_WIDTH = 0.3  # half an interval over the value, which of one parameter at least must be less
 UNEXPLAINED_SHARE = 0.5  # share of the residual in a view from which the residual is no noise, whether reported or not
 MOST_TIED, MOST_TIED_UNIFORM = 3, 2  # classes in a tie at most, and in records of uniform motion
+NOTHING_LEFT = Unexplained(False, None, 0.0)
+TIGHT_BOUNDS = "Effects explain these records, but they only make up for bounds that are too tight."
 
 
-def conclude(
-    model: Model,
-    records: Sequence[Record],
-    dataset: Dataset,
-    base: FittedModel,
-    final: FittedModel,
-    rounds: Sequence[SearchRound],
-    begun: float,
-) -> answer.Diagnosis:
-    """Return the answer, parameters and intervals refitted to all segments; `begun` is when the work began [s]."""
-    whole, plain = _whole(dataset, final), estimates(model, _whole(dataset, base))
-    where, after = localise(dataset, base, final)
-    last = rounds[-1]
-    ties = [tuple(sorted({v.best.name, *v.ties})) for v in rounds if v.best and v.ties and (v.named or v is last)]
-    named = final.servo.effects[len(model.effects) :]
-    gap = gap_between(model, dataset, base, final)
-    left = unexplained(
-        after,
-        FinalModel(
-            named, final.fit.values, dataset.turn, gap.left, fall_between(dataset, base, final),
-            has_outliers_or_disturbance(dataset, final.fit), disturbance_ratio(dataset, final.fit),
-        ),
-    )  # fmt: skip
-    gap = known_floor(gap, left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE))
-    undecided = undecided_names(last)
-    mute = () if named or undecided else unidentified_parameters(plain)
-    verdict = "named" if named else unnamed(last, dataset.poor_excitation, left, mute)
-    intervals = estimates(model, whole, final.problem.only(dataset.segments.counted))
-    of = {v.best.name: v for v in rounds if v.best and v.named}
-    effects = tuple(
-        answer.Named(
-            name, group(name), {k.removeprefix(f"{name}."): v for k, v in intervals.items() if k.startswith(f"{name}.")},
-            v.gain, v.null.p(name, v.gain),
+@dataclass(frozen=True)
+class Case:
+    """What is searched: a model and records, the records as a dataset, and the model fitted to it without further effects."""
+
+    model: Model
+    records: Sequence[Record]
+    dataset: Dataset
+    base: FittedModel
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model against the one before the search.
+
+    Attributes
+    ----------
+    views, shares
+        Localisation of both residuals, and the shares of the later one.
+    gap : Gap
+        Errors on held-out segments.
+    error_fall : float
+        Factor by which the error falls there, outliers clipped.
+    """
+
+    views: tuple[answer.View, ...]
+    shares: list[Share]
+    gap: answer.Gap
+    error_fall: float
+
+    @classmethod
+    def of(cls, case: Case, final: FittedModel) -> Comparison:
+        """Return the comparison of the model that the search ended with."""
+        held_out = case.dataset.held_out
+        error_fall = fall(squares(case.base.fit, held_out), squares(final.fit, held_out))
+        return cls(*localise(case.dataset, case.base, final), gap_between(case, final), error_fall)
+
+    def left(self, case: Case, final: FittedModel, named: Sequence[str]) -> Unexplained:
+        """Return whether a part of the residual is unexplained beside the effects that were named."""
+        outliers, disturbance = has_outliers_or_disturbance(case.dataset, final.fit), disturbance_ratio(case.dataset, final.fit)
+        return unexplained(
+            self.shares,
+            FinalModel(named, final.fit.values, case.dataset.turn, self.gap.left, self.error_fall, outliers, disturbance),
         )
-        for name, v in ((name, of[name]) for name in named)
-    )  # fmt: skip
-    own = {k: v for k, v in intervals.items() if not any(k.startswith(f"{name}.") for name in named)}
-    choices = {c.name: estimates(model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit}
-    told = {*named, *undecided, *(name for tie in ties for name in tie)}
-    added = last.best.name if last.best and last.named else ""
-    adrift = dataset.segments.velocity and len(records) > 1
-    placed = any(find_effect(name).position_dependent for name in (*named, *undecided))
-    beginnings = [VELOCITY_CAVEAT] if adrift and (placed or left.flag) else []
-    missed = undetected(detection_limits(last.candidates, last.null, last.base), model, told, added, adrift)
-    facts = Facts(verdict, gap, left, effects, ties, intervals, mute, dataset.poor_excitation, model.wording)
-    return answer.Diagnosis(
-        verdict=verdict,
-        statement=statement(facts),
-        effects=effects,
-        ties=tuple(ties),
-        experiment=experiment(facts),
-        where=where,
+
+    def closes_in_part(self, case: Case, final: FittedModel) -> bool:
+        """True if some view predicts a part of the residual, in uniform motion that does not show its form."""
+        model = FinalModel((), final.fit.values, case.dataset.turn, self.gap.left, self.error_fall)
+        return unexplained(self.shares, model).flag
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What the records say.
+
+    Attributes
+    ----------
+    final : FittedModel
+        The model with all effects that are named.
+    comparison : Comparison
+        Of the final model with the one before the search.
+    undecided : tuple of str
+        Members of a tie that was not resolved, or the effect that was withdrawn.
+    base, parameters : mapping of str to Estimate
+        Of the model before the search, and of the final model with its effects.
+    unidentified : tuple of str
+        The model's parameters if the records determine none of them.
+    choices : mapping of str to mapping of str to Estimate
+        Parameters with each member of a tie in place of the named effect.
+    proposal : str
+        Wider bounds to try first, or an empty text.
+
+    Others are as of `Diagnosis`.
+    """
+
+    verdict: str
+    final: FittedModel
+    rounds: tuple[SearchRound, ...]
+    comparison: Comparison
+    remains: Unexplained
+    gap: answer.Gap
+    effects: tuple[answer.Named, ...]
+    ties: tuple[tuple[str, ...], ...]
+    undecided: tuple[str, ...]
+    base: dict[str, answer.Estimate]
+    parameters: dict[str, answer.Estimate]
+    unidentified: tuple[str, ...] = ()
+    choices: Mapping[str, Mapping[str, answer.Estimate]] = field(default_factory=dict)
+    proposal: str = ""
+
+    @property
+    def own_parameters(self) -> dict[str, answer.Estimate]:
+        """Parameters of the final model without those of the effects that are named."""
+        return {k: v for k, v in self.parameters.items() if k.split(".")[0] not in {e.name for e in self.effects}}
+
+
+@dataclass(frozen=True)
+class Additions:
+    """What a workflow adds to a diagnosis: lines before and after, and the model to report if it is not the one searched."""
+
+    statement: Sequence[str] = ()
+    findings_before: Sequence[str] = ()
+    findings_after: Sequence[str] = ()
+    model: Model | None = None
+
+
+def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
+    """Return what the records say, parameters and intervals refitted to all segments."""
+    proposal = wider_bounds(case, outcome.final) if outcome.final.servo.effects != case.base.servo.effects else ""
+    final, rounds, comparison = _after_withdrawal(case, outcome, proposal)
+    last, named = rounds[-1], final.servo.effects[len(case.model.effects) :]
+    left = comparison.left(case, final, named)
+    undecided = undecided_names(last)
+    base_fit = _refitted_to_all(case.dataset, case.base)
+    whole = base_fit if final is case.base else _refitted_to_all(case.dataset, final)
+    base = estimates(case.model, base_fit)
+    parameters = estimates(case.model, whole, final.problem.only(case.dataset.segments.counted))
+    unidentified = () if named or undecided else unidentified_parameters(base)
+    verdict = "named" if named else unnamed(last, case.dataset.poor_excitation, left, unidentified)
+    floor_unknown = left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE)
+    return Conclusion(
+        verdict="not_identifiable" if proposal else verdict,
+        final=final,
+        rounds=rounds,
+        comparison=comparison,
         remains=left,
-        gap=gap,
-        excitation=excitation(model, records),
-        findings=(*(f for r in records for f in r.findings), *bound_lines(model, plain, intervals), *beginnings),
-        base=plain,
-        parameters=own,
-        rounds=tuple(_round(v) for v in rounds),
-        undetected=missed,
-        traces=_traces(dataset, base.fit, final.fit),
-        model=model,
-        seconds=time.perf_counter() - begun,
-        choices={n: {k.removeprefix(f"{n}."): v for k, v in e.items() if k.startswith(f"{n}.")} for n, e in choices.items()},
-        choice_parameters={n: {k: v for k, v in e.items() if not k.startswith(f"{n}.")} for n, e in choices.items()},
+        gap=known_floor(comparison.gap, floor_unknown),
+        effects=_named(rounds, named, parameters),
+        ties=() if proposal else _ties(rounds),
+        undecided=undecided,
+        base=base,
+        parameters=parameters,
+        unidentified=unidentified,
+        choices={} if proposal else {c.name: estimates(case.model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit},
+        proposal=proposal,
+    )
+
+
+def _after_withdrawal(case: Case, outcome: SearchOutcome, proposal: str) -> tuple[FittedModel, tuple[SearchRound, ...], Comparison]:
+    """Return final model, rounds and comparison, all effects withdrawn where they cannot be named.
+
+    That is where wider bounds (`proposal`) do as well, or where the motion is uniform and a part stays unexplained.
+    """
+    base, rounds = case.base, outcome.rounds
+    why = "it only makes up for bounds" if proposal else ""
+    if not proposal:
+        comparison = Comparison.of(case, outcome.final)
+        added = outcome.final is not base and rounds[0].best
+        if not (added and case.dataset.poor_excitation and comparison.closes_in_part(case, outcome.final)):
+            return outcome.final, rounds, comparison
+        why = f"'{added.name}' reduces the error only in part, and the motion is too uniform to identify it"
+    return base, (replace(rounds[0], outcome="withdrawn", decision=why),), Comparison.of(case, base)
+
+
+def _ties(rounds: Sequence[SearchRound]) -> tuple[tuple[str, ...], ...]:
+    """Return the ties of the effects that were added, and of the last round."""
+    return tuple(tuple(sorted({r.best.name, *r.ties})) for r in rounds if r.best and r.ties and (r.named or r is rounds[-1]))
+
+
+def _named(
+    rounds: Sequence[SearchRound], names: Sequence[str], parameters: Mapping[str, answer.Estimate]
+) -> tuple[answer.Named, ...]:
+    """Return the effects that are named, with gain and p of the rounds that added them."""
+    by_name = {r.best.name: r for r in rounds if r.best and r.named}
+    return tuple(
+        answer.Named(
+            name, group(name), _of_effect(name, parameters), by_name[name].gain, by_name[name].null.p(name, by_name[name].gain)
+        )
+        for name in names
+    )
+
+
+def _of_effect(name: str, parameters: Mapping[str, answer.Estimate]) -> dict[str, answer.Estimate]:
+    """Return the parameters of an effect by their short names."""
+    return {key.removeprefix(f"{name}."): e for key, e in parameters.items() if key.startswith(f"{name}.")}
+
+
+def as_diagnosis(case: Case, c: Conclusion, started: float, more: Additions) -> answer.Diagnosis:
+    """Return a conclusion as it is reported; `started` is when the work began [s, `time.perf_counter`]."""
+    model, dataset = case.model, case.dataset
+    remains = NOTHING_LEFT if c.proposal else c.remains  # not known before the wider bounds are tried
+    facts = Facts(
+        c.verdict, c.gap, remains, c.effects, c.ties, c.parameters, c.unidentified, dataset.poor_excitation, model.wording
+    )
+    lines = (f"{TIGHT_BOUNDS} Proposed: {c.proposal}.",) if c.proposal else statement(facts)
+    found = [f for r in case.records for f in r.findings]
+    return answer.Diagnosis(
+        verdict=c.verdict,
+        statement=(*more.statement, *lines),
+        effects=c.effects,
+        ties=c.ties,
+        experiment="" if c.proposal else experiment(facts),
+        where=c.comparison.views,
+        remains=remains,
+        gap=c.gap,
+        excitation=excitation(model, case.records),
+        findings=(
+            *more.findings_before, *found, *bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c),
+            *more.findings_after,
+        ),
+        base=c.base,
+        parameters=c.own_parameters,
+        rounds=tuple(_round(r) for r in c.rounds),
+        undetected={} if c.proposal else _undetected(case, c),
+        traces=_traces(dataset, case.base.fit, c.final.fit),
+        model=more.model or model,
+        proposals=(c.proposal,) if c.proposal else (),
+        seconds=time.perf_counter() - started,
+        choices={name: _of_effect(name, e) for name, e in c.choices.items()},
+        choice_parameters={
+            name: {k: v for k, v in e.items() if not k.startswith(f"{name}.")} for name, e in c.choices.items()
+        },
+    )  # fmt: skip
+
+
+def _unaligned(case: Case) -> bool:
+    """True if it is not known how the positions of the records lie relative to each other."""
+    return case.dataset.segments.velocity and len(case.records) > 1
+
+
+def _velocity_caveat(case: Case, c: Conclusion) -> list[str]:
+    """Return a line where an answer depends on the positions at which several records of velocities begin."""
+    names = (*(e.name for e in c.effects), *c.undecided)
+    depends = c.remains.flag or any(find_effect(name).position_dependent for name in names)
+    return [VELOCITY_CAVEAT] if _unaligned(case) and depends else []
+
+
+def _undetected(case: Case, c: Conclusion) -> dict[str, str]:
+    """Return for each effect that is neither named nor tied how large it may be without being detected."""
+    last = c.rounds[-1]
+    known = {*(e.name for e in c.effects), *c.undecided, *(name for tie in c.ties for name in tie)}
+    added = last.best.name if last.best and last.named else ""
+    limits = detection_limits(last.candidates, last.null, last.base)
+    return undetected(limits, case.model, known, added, _unaligned(case))
+
+
+def wider_bounds(case: Case, final: FittedModel) -> str:
+    """Return a proposal where wider bounds alone explain the records better than the effects found within them, or ""."""
+    values, bounds = case.base.fit.values, case.model.bounds
+    tight = {f.name: f for f in case.base.servo.free if f.name in bounds and f.at_binding_bound(values[f.name])}
+    if not tight:
+        return ""
+    free = tuple(f.widened(BOUND_FACTOR) if f.name in tight else f for f in case.base.servo.free)
+    wide = fit_with_noise(case.dataset, replace(case.base.servo, free=free), values)
+    price = 0.5 * (len(final.fit.free) - len(wide.fit.free)) * math.log(np.count_nonzero(case.dataset.train) + 1.0)
+    if wide.fit.total < final.fit.total - price:
+        return ""
+    lines = []
+    for name, f in tight.items():
+        value, unit = wide.fit.values[name], case.model.unit(name)
+        if not f.low <= value <= f.high:  # the others are at a bound only because of these
+            lines.append(f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]")
+    if not lines:
+        return ""
+    return (
+        f"wider bounds, since the records fit {' and '.join(lines)}, without any effect better than with effects within the bounds"
     )
 
 
@@ -115,15 +309,15 @@ def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mappi
 
 
 def unidentified_parameters(plain: Mapping[str, answer.Estimate]) -> tuple[str, ...]:
-    """Return the parameters of the plain model if the records tell none of them to within `KNOWN_HALF_WIDTH`.
+    """Return the parameters of the base model if the records determine none of them to within `KNOWN_HALF_WIDTH`.
 
-    The output does not follow the input then, and that no effect helps says nothing.
+    The output then hardly follows the input, and that no effect is found means nothing.
     """
-    told = any(
+    known = any(
         e.ci95 is not None and not e.at_bound and e.ci95[1] - e.ci95[0] < 2 * KNOWN_HALF_WIDTH * abs(e.value)
         for e in plain.values()
     )
-    return () if told else tuple(plain)
+    return () if known else tuple(plain)
 
 
 def undecided_names(verdict: SearchRound) -> tuple[str, ...]:
@@ -171,41 +365,36 @@ def _traces(dataset: Dataset, before: Fit, after: Fit) -> tuple[answer.Trace, ..
     return tuple(traces)
 
 
-def _whole(dataset: Dataset, fitted: FittedModel) -> Fit:
-    """Return the servo fitted to all segments, those kept from the search included."""
+def _refitted_to_all(dataset: Dataset, fitted: FittedModel) -> Fit:
+    """Return a model refitted to all segments, held-out ones included."""
     problem = fitted.problem.only(dataset.segments.counted)
     return refit_nonsmooth(resume(problem, fitted.fit), lambda fit: problem, fitted.servo.effects)
 
 
-def gap_between(model: Model, dataset: Dataset, base: FittedModel, final: FittedModel) -> answer.Gap:
-    """Return mean squares over the segments that were kept from the search, and what the noise alone would give."""
-    before, after = mean_square(base.fit, dataset.held_out), mean_square(final.fit, dataset.held_out)
+def gap_between(case: Case, final: FittedModel) -> answer.Gap:
+    """Return mean squared errors on held-out segments, and what the noise alone would give."""
+    before, after = mean_square(case.base.fit, case.dataset.held_out), mean_square(final.fit, case.dataset.held_out)
     noise = final.problem.noise
     cover = np.linalg.inv(noise.whiten)
-    covariance_ = cover @ cover.T
-    live = dataset.held_out & final.fit.good
+    covariance = cover @ cover.T
+    live = case.dataset.held_out & final.fit.good
     floor = []
     for columns in final.fit.output_by_initial[live]:
         q, r = np.linalg.qr(columns)
         q = q[:, np.abs(np.diag(r)) > 1e-9 * max(np.abs(r).max(), 1e-300)]
-        floor.append(np.trace(covariance_) - np.trace(q.T @ covariance_ @ q))
-    alone = float(np.mean(floor)) / dataset.segments.bins
-    return answer.Gap(before, after, min(alone, after), model.output_unit)
+        floor.append(np.trace(covariance) - np.trace(q.T @ covariance @ q))
+    alone = float(np.mean(floor)) / case.dataset.segments.bins
+    return answer.Gap(before, after, min(alone, after), case.model.output_unit)
 
 
 def known_floor(gap: answer.Gap, mixed: bool) -> answer.Gap:
     """Return a gap without the noise floor where that is not known.
 
-    What is unexplained (`mixed`: so much of what is left) is taken for noise, and then the noise that would do is no floor; nor is
-    it where the error that was reached after is above the one before.
+    An unexplained part of the residual (`mixed`: a large one) is taken for noise, which is then no floor; nor is it where the
+    error after the search is above the one before.
     """
     unknown = gap.after > gap.before or (mixed and gap.noise_floor is not None and gap.noise_floor >= gap.after)
     return replace(gap, noise_floor=None) if unknown else gap
-
-
-def fall_between(dataset: Dataset, base: FittedModel, final: FittedModel) -> float:
-    """Return the factor by which the error fell over the segments that were kept from the search."""
-    return fall(squares(base.fit, dataset.held_out), squares(final.fit, dataset.held_out))
 
 
 def _round(v: SearchRound) -> answer.Round:

@@ -20,19 +20,19 @@ from bristle.common.errors import BristleError, RestartError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import check
+from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
 from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import Noise, white_noise
 from bristle.diagnosis.estimation.optimiser import refit
 from bristle.diagnosis.estimation.simulator import Servo
-from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
 from bristle.diagnosis.selection.stepwise import search
-from bristle.diagnosis.workflow import examine, mend_first, must_be, reporting, teller
+from bristle.diagnosis.workflow import check_arguments, not_searched, reporting, teller
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT, Replay, ReplayResult, ReplaySegment, replay_records, replay_segments, start_variable
 from bristle.records.record import Record
@@ -96,7 +96,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     BristleError
         If the FMU cannot be read, lacks these variables, crashes or refuses a step; or the records are too short.
     """
-    must_be(model, records)
+    check_arguments(model, records)
     tell = teller(progress)
     fmu = _checked(Fmu(fmu_path, foreign=True), model)
     started = time.perf_counter()
@@ -108,7 +108,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
             if said.proposals:
                 gap = replace(dataset, segments=segments)
                 nominal = nominal_gap(gap, *base_servo_of(model, gap))
-                return mend_first(model, records, said, nominal, time.perf_counter() - started, lines)
+                return not_searched(model, records, said, nominal, time.perf_counter() - started, lines)
             tell("fitting a servo to the FMU", 0.05)
             twin = _twin(model, dataset, replace(dataset, segments=segments))
             lines.append(_closeness(fmu, model, twin))
@@ -123,10 +123,12 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
             if outcome.input_share is None:
                 break
             records = with_input_share(records, outcome.input_share)
-        found = examine(free, records, twin.dataset, base, outcome, tell, started)
-    wrong = _wrong(fmu, found, twin)
-    agrees = [] if wrong or found.verdict != "none" or found.remains.flag else [_agreement(fmu, found, twin)]
-    return replace(found, model=kept, statement=(*agrees, *found.statement), findings=(*lines, *wrong, *found.findings))
+        tell("residual", 0.85)
+        case = Case(free, records, twin.dataset, base)
+        found = conclude(case, outcome)
+        wrong = _wrong(fmu, found, twin)
+        agrees = [] if wrong or found.verdict != "none" or found.remains.flag else [_agreement(fmu, found, twin)]
+        return as_diagnosis(case, found, started, Additions(agrees, (*lines, *wrong), model=kept))
 
 
 def _checked(fmu: Fmu, model: Model) -> Fmu:
@@ -299,17 +301,17 @@ def _closeness(fmu: Fmu, model: Model, twin: EquivalentServo) -> str:
     )
 
 
-def _agreement(fmu: Fmu, found: answer.Diagnosis, twin: EquivalentServo) -> str:
+def _agreement(fmu: Fmu, found: Conclusion, twin: EquivalentServo) -> str:
     """Return the answer where nothing is missing and no parameter is wrong."""
     unit, alone = found.gap.output_unit, math.sqrt(found.gap.noise_floor or 0.0)
     of_it = "disturbance and sensor alone give " + ("as much" if alone >= twin.gap else f"{alone:.3g} {unit} of it")
     return f"{fmu.path.name} agrees with the records: rms {twin.gap:.3g} {unit}; {of_it}."
 
 
-def _wrong(fmu: Fmu, found: answer.Diagnosis, twin: EquivalentServo) -> list[str]:
+def _wrong(fmu: Fmu, found: Conclusion, twin: EquivalentServo) -> list[str]:
     """Return a line for each parameter of the FMU that the records contradict, what was found taken into account."""
     lines = []
-    for name, e in found.parameters.items():
+    for name, e in found.own_parameters.items():
         value = twin.values.get(name)
         if (
             value is None
@@ -346,7 +348,7 @@ def _refused(
     )
     return answer.Diagnosis(
         verdict="not_identifiable", statement=(why,), effects=(), ties=(), experiment="", where=(),
-        remains=Unexplained(False, None, 0.0), gap=answer.Gap(left, left, None, like.output_unit),
+        remains=NOTHING_LEFT, gap=answer.Gap(left, left, None, like.output_unit),
         excitation=excitation(like, records), findings=(*lines, *(f for r in records for f in r.findings)), base={},
         parameters={}, rounds=(), undetected={}, traces=(), model=like, seconds=seconds,
     )  # fmt: skip

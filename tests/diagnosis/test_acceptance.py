@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.diagnosis import workflow
+from bristle.diagnosis import conclusion
 from bristle.diagnosis.estimation import uncertainty as intervals
 from bristle.diagnosis.estimation.dataset import HELD_OUT_EVERY, Motion
 from bristle.diagnosis.estimation.likelihood import Point
@@ -225,9 +225,9 @@ def test_only_bounds_that_the_records_leave_are_proposed_to_be_widened(monkeypat
     )
     final = SimpleNamespace(fit=SimpleNamespace(total=100.0, free=free))
     wide = SimpleNamespace(fit=SimpleNamespace(total=200.0, free=free, values={"J": 0.01, "coulomb.Fc": friction}))
-    monkeypatch.setattr(workflow, "fit_with_noise", lambda dataset, servo, values: wide)
+    monkeypatch.setattr(conclusion, "fit_with_noise", lambda dataset, servo, values: wide)
     model = replace(fabricated.model(), bounds={f.name: (f.low, f.high) for f in free})
-    line = workflow.better_unbound(model, SimpleNamespace(train=np.ones(9)), base, final)
+    line = conclusion.wider_bounds(conclusion.Case(model, (), SimpleNamespace(train=np.ones(9)), base), final)
     assert [name for name in ("J", "coulomb.Fc") if f"{name} near" in line] == lines
 
 
