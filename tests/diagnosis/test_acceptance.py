@@ -179,7 +179,9 @@ def test_something_is_kept_from_the_search_of_the_shortest_record(case):
     length = len(dataset.motion.theta) // len(dataset.segments.counted)
     for count in (5, 2):
         piece = dataset.segments.pieces[0]
-        piece = replace(piece, u=piece.u[: count * length], **{k: getattr(piece, k)[:count] for k in ("measured", "initial", "initial_sd")})
+        piece = replace(
+            piece, u=piece.u[: count * length], **{k: getattr(piece, k)[:count] for k in ("measured", "initial", "initial_sd")}
+        )
         theta, u = np.zeros(count * length), np.zeros(count * length)
         theta[min(3, count - 1) * length] = 1.0
         short = replace(
