@@ -71,7 +71,7 @@ def main() -> None:
     pairs = missed(a.out)
 
     def target(answer: Any) -> Path:
-        return a.out / "told" / f"{answer['case']:05d}.json"
+        return Path(a.out) / "told" / f"{answer['case']:05d}.json"
 
     calls = [(a.out / "cases" / target(answer).stem, answer, target(answer)) for answer, _ in pairs]
     run.go_on(diagnose_told, calls, a.jobs, "told")

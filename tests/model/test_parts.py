@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm as scipy_expm
 
-from bristle.common import cache, compiler
+from bristle.common import cache
 from bristle.common.errors import BristleError
 from bristle.common.units import convert, parse_unit, quantity
+from bristle.model import compiler
 from bristle.model.linear import Elimination, expm
 from bristle.model.native import Native
 from bristle.model.program import Program
