@@ -124,7 +124,7 @@ is allowed.
 
 Any value can be replaced for one run: `bristle run FILE --set "plant.parameters.J=0.002 kg.m2"`. The parameters of plant
 and observers
-are in [parameters.md](parameters.md); those of the controller in its [page](../fmus/controller/README.md).
+are in [parameters.md](parameters.md); those of the controller in [Controller](../fmus/controller/README.md).
 """
 
 CHECKS_HEAD = """
