@@ -96,7 +96,7 @@ def copied(written: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     packages = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-dir"]
     rooms = {folder.split("/")[0] for folder in packages.values()} | {"tests", "docs"}
     for room in sorted(rooms):
-        shutil.copytree(ROOT / room, tree / room, ignore=shutil.ignore_patterns("__pycache__", "hidden", "images"))
+        shutil.copytree(ROOT / room, tree / room, ignore=shutil.ignore_patterns("__pycache__", "hidden"))
     for name in ("pyproject.toml", "references.bib", "README.md"):
         shutil.copy(ROOT / name, tree)
     for name in FILES:
