@@ -1,4 +1,4 @@
-"""Errors and settling times of the observers over seeds 1-12 and both orders of the reference, on sets S and R (see README).
+"""Errors and settling times of the observers over seeds 1-12 and both orders of the reference, on sets S and R (docs/results.md).
 
 python benchmarks/identification.py            # prints the tables; exit code 1 if a limit is missed
 """

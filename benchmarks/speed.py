@@ -1,4 +1,4 @@
-"""Speed of the co-simulation, as ratios measured side by side in one run (see README, "Speed").
+"""Speed of the co-simulation, as ratios measured side by side in one run (docs/results.md).
 
 Run with scripts/bench. Four loops do the same 200 000 steps of controller, plant and observer:
   plain   the generated C in one C loop, no FMI

@@ -1,4 +1,4 @@
-"""Open-loop validation of Approach II on the original LuGre plant over seeds and both orders (see README).
+"""Open-loop validation of Approach II on the original LuGre plant over seeds and both orders (docs/results.md).
 
 python benchmarks/validation.py            # prints the table; exit code 1 if a ratio to Coulomb exceeds 1/3
 """

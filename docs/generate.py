@@ -186,7 +186,7 @@ def gallery_page(shown: Catalogue | None = None) -> str:
     text = [GALLERY_HEAD, "| effect | in words | residual depends on |", "|---|---|---|"]
     text += [f"| [`{e.name}`](#{e.name}) | {e.title} | {'; '.join(VIEWS[v] for v in e.residual)} |" for e in known]
     for e in known:
-        text += ["", f"## {e.title[0].upper()}{e.title[1:]} {{ #{e.name} }}", "", f"`{e.name}`: {e.description}.", ""]
+        text += ["", f'<a id="{e.name}"></a>', "", f"## {e.title[0].upper()}{e.title[1:]}", "", f"`{e.name}`: {e.description}.", ""]
         if (ROOT / "docs" / "images" / "effects" / f"{e.name}.png").exists():
             text += [f"![{e.title}: positions and residual torque](images/effects/{e.name}.png)", ""]
         text += [f"    {e.equation}", "", f"- Residual depends on: {'; '.join(VIEWS[view] for view in e.residual)}."]
