@@ -175,7 +175,7 @@ def paired(runs: int, *loops: Callable[[], tuple[float, np.ndarray]]) -> list[fl
 
 
 def main() -> int:
-    """Print the tables; exit 1 if a promised ratio is missed."""
+    """Print the tables; exit 1 if a required ratio is missed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--runs", type=int, default=9)
@@ -200,7 +200,7 @@ def main() -> int:
         ("largest difference of native and fmpy from plain", max(same[:2]), "<=", 0.0),
         ("largest difference of python from plain", same[2], "<=", 1e-9),
     ]
-    print("\n| promise | measured | limit |\n|---|---|---|")
+    print("\n| requirement | measured | limit |\n|---|---|---|")
     for name, value, sign, limit in checks:
         print(f"| {name} | {value:.3g} | {sign} {limit:g} |")
     print("\n| arithmetic alone | us/step | internal steps/step |\n|---|---|---|")
