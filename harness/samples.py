@@ -16,39 +16,21 @@ STEP_TOLERANCE = 0.01  # fraction by which the scenario's step may differ from t
 
 @dataclass(frozen=True)
 class Samples:
-    """A record in SI units, uniformly sampled.
+    """A record in SI units, uniformly sampled; arrays have shape (n,)."""
 
-    Attributes
-    ----------
-    h : float
-        Sampling period [s].
-    u, theta, v : ndarray, shape (n,)
-        Voltage [V], position [rad], velocity [rad/s].
-    measured : tuple of str
-        Which of theta and v were measured; the other one follows from it.
-    findings : tuple of str
-        What was found in the record and repaired, one line each.
-    """
-
-    h: float
-    u: Array
-    theta: Array
-    v: Array
-    measured: tuple[str, ...]
-    findings: tuple[str, ...] = ()
+    h: float  # sampling period [s]
+    u: Array  # voltage [V]
+    theta: Array  # position [rad]
+    v: Array  # velocity [rad/s]
+    measured: tuple[str, ...]  # which of theta and v were measured; the other one follows from it
+    findings: tuple[str, ...] = ()  # what was found in the record and repaired, one line each
 
     def __len__(self) -> int:
         return len(self.u)
 
 
 def read_samples(loaded: Loaded) -> Samples:
-    """Read the record that a scenario names.
-
-    Raises
-    ------
-    BristleError
-        One line that names the file, what is wrong and what to do.
-    """
+    """Read the record that a scenario names; raise `BristleError`, one line, where observers cannot read it."""
     scenario = loaded.scenario
     assert scenario.record is not None
     layout = _layout(loaded)
@@ -61,8 +43,8 @@ def read_samples(loaded: Loaded) -> Samples:
         if count > len(record):
             longest = f"the record ends after {(len(record) - 1) * record.h:g} s"
             raise loaded.error("duration", f"{scenario.duration:g} s", f"{longest}; shorten it or leave it out")
-    theta, v = _motion(layout, record)
-    return Samples(record.h, record.u[:count], theta[:count], v[:count], _measured(layout), record.findings)
+    theta, v, measured = _motion(layout, record)
+    return Samples(record.h, record.u[:count], theta[:count], v[:count], measured, record.findings)
 
 
 def _layout(loaded: Loaded) -> Layout:
@@ -78,22 +60,16 @@ def _layout(loaded: Loaded) -> Layout:
     return layout_of(table, loaded.path, "record.", table.velocity)
 
 
-def _measured(layout: Layout) -> tuple[str, ...]:
-    if layout.output_kind == "velocity":
-        return ("v",)
-    return ("theta",) if layout.velocity is None else ("theta", "v")
-
-
-def _motion(layout: Layout, record: Record) -> tuple[Array, Array]:
-    """Return position and velocity.
+def _motion(layout: Layout, record: Record) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return position [rad], velocity [rad/s], and which of them were measured.
 
     A position alone gives the velocity as a backward difference, as a counter does; a velocity alone gives the position as its
     integral from 0 by the trapezoidal rule.
     """
     if layout.output_kind == "velocity":
         v = record.y
-        return np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) * record.h / 2)]), v
+        return np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) * record.h / 2)]), v, ("v",)
     if record.velocity is not None:
-        return record.y, record.velocity
+        return record.y, record.velocity, ("theta", "v")
     steps = np.diff(record.y) / record.h
-    return record.y, np.concatenate([steps[:1], steps])
+    return record.y, np.concatenate([steps[:1], steps]), ("theta",)

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, ValidationError, field_validator, m
 from bristle.common.errors import BristleError
 from bristle.common.toml import InUnit, Section, first_mistake, mistake, read_toml
 from bristle.common.units import quantity
-from bristle.records.layout import ColumnTable, LayoutTable
+from bristle.records.layout import Column, LayoutTable
 
 LONGEST_RUN = 5_000_000  # steps of a run, all of which are kept in memory
 PARAMETER_PARTS = ("plant", "controller", "observer")  # parts of a scenario that have parameters
@@ -75,7 +75,7 @@ class Record(LayoutTable):
 
     file: str
     """Path of the file (CSV, MAT, NPZ or Parquet), relative to the scenario file."""
-    velocity: ColumnTable | None = None
+    velocity: Column | None = None
     """Column of a velocity that was measured besides the position; without it, the position is differentiated."""
 
 

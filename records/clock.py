@@ -28,18 +28,15 @@ def increasing(raw: Raw) -> None:
     steps = np.diff(raw.time)
     if (steps < 0).any():
         k = int(np.argmax(steps < 0)) + 1
-        raise raw.error(
-            f"time falls back at sample {k}, from {raw.time[k - 1]:.9g} to {raw.time[k]:.9g} s; "
-            "sort the record, or split it there if it holds two runs"
-        )
+        seen = f"time falls back at sample {k}, from {raw.time[k - 1]:.9g} to {raw.time[k]:.9g} s"
+        raise raw.error(f"{seen}; sort the record, or split it there if it holds two runs")
     again = np.flatnonzero(steps == 0) + 1
     if len(again):
+        seen = f"time stamps repeat the one before (first at sample {again[0]})"
         if len(again) > REPEATED_SHARE * len(raw.time):
-            raise raw.error(
-                f"{len(again)} of {len(raw.time)} time stamps repeat the one before (first at sample {again[0]}), "
-                f"allowed {REPEATED_SHARE:.0%}; write the time with more digits"
-            )
-        raw.say(f"{len(again)} time stamps repeat the one before (first at sample {again[0]}); these samples are left out")
+            allowed = f"allowed {REPEATED_SHARE:.0%}; write the time with more digits"
+            raise raw.error(f"{len(again)} of {len(raw.time)} {seen}, {allowed}")
+        raw.say(f"{len(again)} {seen}; these samples are left out")
         raw.keep(np.concatenate([[True], steps != 0]))
 
 
@@ -75,10 +72,8 @@ def clock(raw: Raw) -> tuple[Array, float, bool]:
     missing = (np.round(steps / ordinary) > 1) & (np.abs(steps / ordinary - np.round(steps / ordinary)) < WHOLE_INTERVALS)
     rms = float(np.sqrt(np.mean((steps[~missing] - ordinary) ** 2))) / ordinary
     if rms > LARGEST_JITTER:
-        raise raw.error(
-            f"sampling intervals scatter by {rms:.0%} rms about {ordinary:g} s, allowed {LARGEST_JITTER:.0%}; "
-            "sample with a steady clock"
-        )
+        seen = f"sampling intervals scatter by {rms:.0%} rms about {ordinary:g} s"
+        raise raw.error(f"{seen}, allowed {LARGEST_JITTER:.0%}; sample with a steady clock")
     if missing.any():
         where = f"{int(missing.sum())} places (first after {raw.time[np.argmax(missing)]:.6g} s)"
         raw.say(f"one or two samples are missing at {where}; interpolated")

@@ -15,16 +15,7 @@ from bristle.common.table import Array, read_columns, si_column
 from bristle.records.clock import clock, increasing, one_rate, period_of
 from bristle.records.layout import Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, must_be_path, vectors
-from bristle.records.sensor import (
-    MOTIONLESS_STEPS,
-    compare_resolution,
-    must_move,
-    repair_spikes,
-    report_frozen,
-    report_limits,
-    report_steps,
-    unwrap,
-)
+from bristle.records.sensor import MOTIONLESS_STEPS, compare_resolution, must_move, repaired, report_steps
 
 SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30  # SI: no rig gives a smaller or larger value, and the square of one is not finite
 GAP_INTERVALS = 3.5  # sampling intervals: a longer interval is a gap, a shorter one is interpolated over
@@ -40,16 +31,14 @@ class Requirements:
 
     Attributes
     ----------
-    samples : int
-        Least number of samples, of a record or of a piece of it between gaps.
-    duration : float
-        Least duration [s], likewise.
+    samples, duration : int, float
+        Least number of samples and least duration [s] of a record, or of a piece of it between gaps.
     shortest_period, longest_period : float
         Range of the sampling period [s].
     identification : bool
         Whether the record is to identify a servo: its output must move and the input of one record at least, spikes and wraps
-        of the sensor are repaired, a late start of the time is
-        subtracted, a gap cuts the record. Else the samples stay as recorded, and a gap is refused.
+        of the sensor are repaired, a late start of the time is subtracted, a gap cuts the record. Else the samples stay as
+        recorded, and a gap is refused.
     """
 
     samples: int = 10
@@ -87,7 +76,7 @@ def load_record(layout: Layout, path: Path | str) -> Record:
 
 
 def load_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs: Requirements = AS_RECORDED) -> list[Record]:
-    """Read measured files, check and repair them.
+    """Read measured files, check and repair them; return at least one record for each, all with the same sampling period.
 
     Parameters
     ----------
@@ -96,17 +85,7 @@ def load_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
     paths : path or sequence of path
         CSV, MAT, NPZ or Parquet files, each once.
     needs : Requirements
-        What the records must have.
-
-    Returns
-    -------
-    list of Record
-        At least one for each file, all with the same sampling period.
-
-    Raises
-    ------
-    BristleError
-        One line: what, where, what is allowed, what to do.
+        What the records must have; `BristleError` says what one lacks.
     """
     _must_be_layout(layout)
     given: object = paths
@@ -128,7 +107,7 @@ def load_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
 def records_from_arrays(
     layout: Layout, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]], needs: Requirements = AS_RECORDED
 ) -> list[Record]:
-    """Check and repair records that are in memory.
+    """Check and repair records in memory; return at least one for each entry, all with the same sampling period.
 
     Parameters
     ----------
@@ -137,17 +116,7 @@ def records_from_arrays(
     arrays : iterable of (name, time, u, y)
         Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`.
     needs : Requirements
-        What the records must have.
-
-    Returns
-    -------
-    list of Record
-        At least one for each entry, all with the same sampling period.
-
-    Raises
-    ------
-    BristleError
-        One line: what, where, what is allowed, what to do.
+        What the records must have; `BristleError` says what one lacks.
     """
     _must_be_layout(layout)
     if not isinstance(arrays, Iterable):
@@ -244,10 +213,8 @@ def _constant(u: Array) -> bool:
 
 def _must_be_driven(layout: Layout, records: Sequence[Record], where: str) -> None:
     if all(_constant(record.u) for record in records):
-        raise BristleError(
-            f"record {where}: input is constant ({records[0].u[0]:g} {layout.input_unit}) in every record; "
-            "check [input] column, and give a record in which it varies"
-        )
+        seen = f"input is constant ({records[0].u[0]:g} {layout.input_unit}) in every record"
+        raise BristleError(f"record {where}: {seen}; check [input] column, and give a record in which it varies")
 
 
 def _report_constant_input(layout: Layout, record: Record) -> Record:
@@ -283,14 +250,13 @@ def _must_be_possible(layout: Layout, raw: Raw) -> None:
     for key, values, unit in zip(COLUMN_NAMES, raw.columns, units, strict=False):
         most = float(np.max(np.abs(values)))
         if most > LARGEST_VALUE or 0.0 < most < SMALLEST_VALUE:
-            raise raw.error(
-                f"{key} reaches {most:.3g} {unit}, allowed {SMALLEST_VALUE:g} to {LARGEST_VALUE:g}; check its column and unit"
-            )
+            allowed = f"allowed {SMALLEST_VALUE:g} to {LARGEST_VALUE:g}; check its column and unit"
+            raise raw.error(f"{key} reaches {most:.3g} {unit}, {allowed}")
 
 
 def _too_short(raw: Raw, needs: Requirements) -> BristleError:
-    length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s; at least {needs.duration:g} s are needed"
-    return raw.error(f"{length}: record longer, or correct [time] unit")
+    length = f"lasts {raw.time[-1] - raw.time[0]:.6g} s"
+    return raw.error(f"{length}; at least {needs.duration:g} s are needed: record longer, or correct [time] unit")
 
 
 def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
@@ -300,7 +266,7 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
         raise raw.error(f"{len(raw.time)} samples; at least {needs.samples} are needed: record longer")
     h = period_of(raw, needs.shortest_period, needs.longest_period)
     resolution = compare_resolution(layout, raw)
-    wrapped = needs.identification and _repaired(layout, raw, resolution)
+    wrapped = needs.identification and repaired(layout, raw, resolution)
     borders = (np.flatnonzero(np.diff(raw.time) > GAP_INTERVALS * h) + 1).tolist()
     if borders and not needs.identification:
         raise _gap(raw, borders[0], h)
@@ -313,11 +279,8 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
             dropped.append((piece.name, why))
             continue
         time, period, uneven = clock(piece)
-        records.append(
-            Record(
-                piece.name, time, period, piece.u, piece.y, tuple(piece.lines), resolution, wrapped, uneven, velocity=piece.velocity
-            )
-        )
+        facts = (tuple(piece.lines), resolution, wrapped, uneven)
+        records.append(Record(piece.name, time, period, piece.u, piece.y, *facts, velocity=piece.velocity))
     if len(runs) > 1:
         worst = int(np.argmax(np.diff(raw.time)))
         seen = f"largest {raw.time[worst + 1] - raw.time[worst]:.3g} s after {raw.time[worst]:.6g} s"
@@ -330,16 +293,6 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
         raise raw.error(f"no piece between gaps lasts {needs.duration:g} s with {needs.samples} samples; record without gaps")
     records[0] = replace(records[0], findings=(*raw.lines, *records[0].findings))
     return records
-
-
-def _repaired(layout: Layout, raw: Raw, resolution: float | None) -> bool:
-    """Repair and report what output and input show of sensor and drive; return whether the position was wrapped."""
-    repair_spikes(raw, resolution)
-    wrapped = layout.output_kind == "position" and unwrap(layout, raw, resolution)
-    report_frozen(raw, resolution)
-    report_limits(raw)
-    must_move(layout, raw, resolution or layout.resolution)
-    return wrapped
 
 
 def _unusable(piece: Raw, resolution: float | None, needs: Requirements) -> str:

@@ -15,7 +15,7 @@ INPUT_UNITS = {"torque": "N.m", "force": "N", "voltage": "V", "current": "A"}  #
 
 
 # -- what a file may hold ----------------------------------------------------------------------------------------------
-class ColumnTable(Section):
+class Column(Section):
     """A column of the file and its unit."""
 
     column: str
@@ -26,14 +26,14 @@ class ColumnTable(Section):
     """What one of that unit is worth where the unit does not fit, such as `0.088 deg`."""
 
 
-class InputTable(ColumnTable):
+class InputTable(Column):
     """The column of the input."""
 
     kind: Literal["torque", "force", "voltage", "current"]
     """What the input is; observers read a voltage."""
 
 
-class OutputTable(ColumnTable):
+class OutputTable(Column):
     """The column of the output."""
 
     kind: Literal["position", "velocity"]
@@ -45,7 +45,7 @@ class OutputTable(ColumnTable):
 class LayoutTable(Section):
     """The three tables [time], [input] and [output]."""
 
-    time: ColumnTable
+    time: Column
     """Column of the time."""
     input: InputTable
     """Column of the input, held from each sample to the next."""
@@ -54,25 +54,6 @@ class LayoutTable(Section):
 
 
 # -- the layout --------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Column:
-    """A column of a record.
-
-    Attributes
-    ----------
-    column : str
-        Its name in the file.
-    unit : str
-        Its unit.
-    scale : str or None
-        What one of that unit is worth, such as ``"0.088 deg"``, where it is no plain unit.
-    """
-
-    column: str
-    unit: str
-    scale: str | None = None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Layout:
     """The columns of a record and what they are.
@@ -123,24 +104,10 @@ def _output_unit(kind: str, linear: bool) -> str:
     return ("m" if linear else "rad") + ("/s" if kind == "velocity" else "")
 
 
-def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity: ColumnTable | None = None) -> Layout:
-    """Return the layout that the tables of a file describe.
+def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity: Column | None = None) -> Layout:
+    """Return the layout that the tables of a file describe; `velocity` is that of a velocity besides the position.
 
-    Parameters
-    ----------
-    table : LayoutTable
-        The tables [time], [input] and [output].
-    where : Path or str
-        The file, with which the line of an error begins.
-    prefix : str
-        What precedes the names of the tables in the file ("record.").
-    velocity : ColumnTable, optional
-        The table of a velocity that was recorded besides the position.
-
-    Raises
-    ------
-    BristleError
-        One line that names file, key, value, what is allowed and what to do.
+    An error is one line that begins with the file, `where`; `prefix` precedes the names of the tables in it ("record.").
     """
     linear = _is_linear(table, where, prefix)
     layout = Layout(
@@ -164,8 +131,9 @@ def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity:
     return layout
 
 
-def _column(table: ColumnTable) -> Column:
-    return Column(table.column, table.unit, table.scale)
+def _column(table: Column) -> Column:
+    """Return a column without what the tables of the input and the output say besides."""
+    return Column(column=table.column, unit=table.unit, scale=table.scale)
 
 
 def _is_linear(table: LayoutTable, where: Path | str, prefix: str) -> bool:

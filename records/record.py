@@ -46,8 +46,7 @@ class Record:
     Raises
     ------
     BristleError
-        If time, u and y are no vectors of finite numbers, of one length, if h is not above 0, or if another field is of
-        another kind.
+        If time, u and y are no vectors of finite numbers, of one length, h is not above 0, or another field of another kind.
     """
 
     name: str
@@ -100,11 +99,9 @@ class Raw:
         return [self.time, self.u, self.y, *([] if self.velocity is None else [self.velocity])]
 
     def say(self, line: str) -> None:
-        """Report what was found."""
         self.lines.append(f"record {self.name}: {line}")
 
     def error(self, line: str) -> BristleError:
-        """Return the error to raise."""
         return BristleError(f"record {self.where}: {line}")
 
     def keep(self, chosen: NDArray[np.bool_] | slice) -> None:
@@ -114,7 +111,6 @@ class Raw:
 
 
 def must_be_path(path: object, what: str) -> None:
-    """Raise `BristleError` where something else is given for a path."""
     if not isinstance(path, str | os.PathLike):
         raise BristleError(f"the path of a {what} is a {type(path).__name__}; give text or a Path")
 

@@ -45,9 +45,8 @@ def compare_resolution(layout: Layout, raw: Raw) -> float | None:
     if found is None:
         raw.say(f"{declared}, but the output shows no such steps: was it filtered or interpolated?")
     elif not STEP_AGREEMENT[0] < found / layout.resolution < STEP_AGREEMENT[1]:
-        raw.say(
-            f"{declared}, but the output comes in steps of {found:.4g} {layout.output_unit}; correct the resolution or the unit"
-        )
+        seen = f"the output comes in steps of {found:.4g} {layout.output_unit}"
+        raw.say(f"{declared}, but {seen}; correct the resolution or the unit")
     return found
 
 
@@ -103,11 +102,20 @@ def _only_noise(u: Array, y: Array) -> bool:
     return bool(n * np.exp(-n * np.max(correlation**2) / 2) > NOISE_P)
 
 
-def repair_spikes(raw: Raw, resolution: float | None) -> None:
+def repaired(layout: Layout, raw: Raw, resolution: float | None) -> bool:
+    """Repair and report what output and input show of sensor and drive; return whether the position was wrapped."""
+    _repair_spikes(raw, resolution)
+    wrapped = layout.output_kind == "position" and _unwrap(layout, raw, resolution)
+    _report_frozen(raw, resolution)
+    _report_limits(raw)
+    must_move(layout, raw, resolution or layout.resolution)
+    return wrapped
+
+
+def _repair_spikes(raw: Raw, resolution: float | None) -> None:
     """Replace up to three samples that jump away and back, which no servo does, by interpolation."""
-    d = np.diff(raw.y)
+    d, near = np.diff(raw.y), SPIKE_NEIGHBOURS
     size = np.abs(d)
-    near = SPIKE_NEIGHBOURS
     floor = max(SPIKE_STEPS * (resolution or 0.0), 1e-9 * float(np.max(np.abs(raw.y), initial=0.0)))
     spikes: list[int] = []
     y = raw.y.copy()
@@ -125,14 +133,13 @@ def repair_spikes(raw: Raw, resolution: float | None) -> None:
                 spikes.append(k + 1)
                 break
     if spikes:
-        k = spikes[0]
         worst = max(float(size[i - 1]) for i in spikes)
-        where = f"first at sample {k}, {raw.time[k]:.6g} s; up to {worst:.3g}"
+        where = f"first at sample {spikes[0]}, {raw.time[spikes[0]]:.6g} s; up to {worst:.3g}"
         raw.say(f"output jumps away and back at {len(spikes)} places ({where}); interpolated over")
         raw.y = y
 
 
-def unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
+def _unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     """Unwrap a position that jumps by one and the same amount and never leaves a range of that size."""
     d = np.diff(raw.y)
     span = float(np.ptp(raw.y))
@@ -143,8 +150,7 @@ def unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     if np.max(rest, initial=0.0) > 0.25 * span:
         return False
     sizes = np.abs(d[jumps] - 0.5 * (d[np.maximum(jumps - 1, 0)] + d[np.minimum(jumps + 1, len(d) - 1)]))
-    full = 2.0 * np.pi
-    turn = float(np.median(sizes))
+    full, turn = 2.0 * np.pi, float(np.median(sizes))
     known = next((size for size in ((full, 360.0, 1.0) if not layout.linear else ()) if abs(turn - size) < 0.02 * size), None)
     counter = None if known else _counter(turn, resolution)
     turn = known or counter or (resolution * round(turn / resolution) if resolution else turn)
@@ -158,13 +164,8 @@ def unwrap(layout: Layout, raw: Raw, resolution: float | None) -> bool:
         return False
     raw.y = raw.y + np.concatenate([[0.0], np.cumsum(np.where(np.abs(d) > 0.5 * span, -np.sign(d) * turn, 0.0))])
     first = f"{len(jumps)} times (first at {raw.time[jumps[0]]:.6g} s)"
-    if layout.linear or sure:
-        raw.say(f"position wraps by {turn:.6g} {layout.output_unit} {first}; unwrapped")
-    else:
-        raw.say(
-            f"position wraps by {turn:.6g} {layout.output_unit} {first}; unwrapped, but a turn has {full:.4g} rad: "
-            f"check [output] unit ('{layout.output.unit}') and scale"
-        )
+    doubt = f", but a turn has {full:.4g} rad: check [output] unit ('{layout.output.unit}') and scale"
+    raw.say(f"position wraps by {turn:.6g} {layout.output_unit} {first}; unwrapped{'' if layout.linear or sure else doubt}")
     return True
 
 
@@ -177,10 +178,9 @@ def _counter(turn: float, resolution: float | None) -> float | None:
     return size if min(COUNTER_BITS) <= bits <= max(COUNTER_BITS) and abs(turn - size) < 0.005 * size else None
 
 
-def report_frozen(raw: Raw, resolution: float | None) -> None:
+def _report_frozen(raw: Raw, resolution: float | None) -> None:
     """Report an output that freezes in motion and then catches up, or stays at rest while the input covers most of its range."""
-    same = np.diff(raw.y) == 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.diff(raw.y) == 0, [False]])))
     runs = edges.reshape(-1, 2)  # differences start..end-1 are zero
     d = np.abs(np.diff(raw.y))
     span = float(np.ptp(raw.u))
@@ -195,25 +195,23 @@ def report_frozen(raw: Raw, resolution: float | None) -> None:
                 continue
         if raw.time[end] - raw.time[start] >= FROZEN_DURATION and np.ptp(raw.u[start : end + 1]) > FROZEN_INPUT_SHARE * span > 0.0:
             still.append((start, end))
-    for runs_found, what in (
-        (caught, "the output freezes in motion and then catches up: samples were lost; cut these parts"),
-        (still, "the output stands still while the input covers most of its range: a stop, a drive that is off, a stuck sensor?"),
-    ):
+    lost = "the output freezes in motion and then catches up: samples were lost; cut these parts"
+    stuck = "the output stands still while the input covers most of its range: a stop, a drive that is off, a stuck sensor?"
+    for runs_found, what in ((caught, lost), (still, stuck)):
         if runs_found:
             start, end = runs_found[0]
             where = f"{len(runs_found)} such parts, the first from {raw.time[start]:.6g} to {raw.time[end]:.6g} s"
             raw.say(f"{what} ({where})")
 
 
-def report_limits(raw: Raw) -> None:
+def _report_limits(raw: Raw) -> None:
     """Report an input that rests at its largest or smallest value."""
     values, counts = np.unique(raw.u, return_counts=True)
     if len(values) < SWITCHED_LEVELS:
         return
-    for which, value, count, beside in (
-        ("largest", values[-1], counts[-1], np.max(counts[-4:-1])),
-        ("smallest", values[0], counts[0], np.max(counts[1:4])),
-    ):
+    largest = "largest", values[-1], counts[-1], np.max(counts[-4:-1])
+    smallest = "smallest", values[0], counts[0], np.max(counts[1:4])
+    for which, value, count, beside in (largest, smallest):
         # the crest of a signal in steps also dwells on its last value, but not so much longer than on those before
         if count > max(LIMITED_SHARE * len(raw.u), LIMITED_SAMPLES) and count > CREST_RATIO * beside and value != 0.0:
             line = f"input is at its {which} value {value:.6g} for {count / len(raw.u):.1%} of the time"

@@ -51,16 +51,6 @@ def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, Arr
         What the arrays are; its column names and units are not used.
     arrays : iterable of (name, time, u, y)
         Arrays of shape (n,) in SI: seconds, the model's `input_unit` and `output_unit`.
-
-    Returns
-    -------
-    list of Record
-        At least one for each entry, all with the same sampling period.
-
-    Raises
-    ------
-    BristleError
-        One line: what, where, what is allowed, what to do.
     """
     must_be_model(model)
     return intake.records_from_arrays(model, arrays, NEEDS)

@@ -40,7 +40,7 @@ OUTLIERS = "some stretches"  # name of their view, in diagnosis.json too
 def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array, Callable[[Array], Array]]:
     """Return frequencies (k,) [Hz] within `TONE_BAND`, and a function: signs (segments,) -> amplitudes (k,) of the torque there.
 
-    Parameters: time and torque, averaged by bins (segments, bins), the clock of each segment. The powers of segments with
+    `time` and the torque `rough` are averaged by bins (segments, bins), `clock` is (segments,). The powers of segments with
     different clocks are added, because their phases are unrelated.
     """
     step = float(np.median(np.diff(time, axis=1)))
@@ -96,7 +96,6 @@ def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: 
     A view's function is fitted on four fifths of the segments; its p is how often the strongest of all views predicts the rest
     as well when segments get random signs. A tone is compared with the highest lines of such spectra too, because its
     frequency was chosen. The share is the power of the view's function in the output.
-
     Source: liu1988 (wild bootstrap).
     """
     live = np.flatnonzero(response.weight > 0)
@@ -124,7 +123,6 @@ def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> 
 
     Each draw has its own frequency, as the data had. Draws end early where the p is large. Parameters as of `spectrum`; signs
     (draws, segments).
-
     Source: besag1991 (sequential Monte Carlo p-values).
     """
     _, amplitudes = spectrum(time, clock, rough)

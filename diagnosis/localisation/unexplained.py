@@ -22,47 +22,26 @@ TONE_SHARE = 0.3  # share of the residual of an oscillation in time, however sma
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Whether a part of the residual is unexplained, the view it shows in (None: in none), and its share of the residual.
-
-    `disturbance`: rms of the disturbance torque that the fit needs, over that of the input's torque. `label`: as of the `Share`.
-    """
+    """Whether a part of the residual is unexplained."""
 
     flag: bool
-    view: str | None
-    share: float
-    disturbance: float = 0.0
-    label: str = ""
+    view: str | None  # that it shows in
+    share: float  # of the residual
+    disturbance: float = 0.0  # rms of the disturbance torque that the fit needs, over that of the input's torque
+    label: str = ""  # as of the `Share`
 
 
 @dataclass(frozen=True)
 class FinalModel:
-    """What the rules need to know of the model that the search ended with.
+    """What the rules need to know of the model that the search ended with."""
 
-    Attributes
-    ----------
-    named : sequence of str
-        Effects that were named.
-    values : mapping of str to float
-        Its parameters [SI].
-    turn : float
-        Path along which periods are counted [rad or m].
-    error_left : float
-        Mean squared error on held-out segments, over that of the model without effects.
-    error_fall : float
-        Factor by which the error falls there, with the influence of single segments bounded.
-    outliers : bool
-        True if it misses some segment by far.
-    disturbance : float
-        As of `Unexplained`.
-    """
-
-    named: Sequence[str] = ()
-    values: Mapping[str, float] = field(default_factory=dict)
-    turn: float = 6.283185307179586
-    error_left: float = 1.0
-    error_fall: float = 1.0
-    outliers: bool = False
-    disturbance: float = 0.0
+    named: Sequence[str] = ()  # effects
+    values: Mapping[str, float] = field(default_factory=dict)  # its parameters [SI]
+    turn: float = 6.283185307179586  # path along which periods are counted [rad or m]
+    error_left: float = 1.0  # mean squared error on held-out segments, over that of the model without effects
+    error_fall: float = 1.0  # factor by which the error falls there, with the influence of single segments bounded
+    outliers: bool = False  # whether it misses some segment by far
+    disturbance: float = 0.0  # as of `Unexplained`
 
     @property
     def free_play(self) -> bool:

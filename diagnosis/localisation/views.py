@@ -26,29 +26,15 @@ MIN_WIDTH_STEPS, MIN_TRAVEL_STEPS = 4, 40  # narrowest element and least travel,
 
 @dataclass(frozen=True)
 class Share:
-    """What a view predicts of a residual.
+    """What a view predicts of a residual."""
 
-    Attributes
-    ----------
-    view : str
-        Its name: the variables that the residual is taken for a function of.
-    share : float
-        Share of the residual's power in the output.
-    p, alone : float
-        Probability that chance predicts as much in any view, and in this one alone.
-    label : str
-        What was found in it, such as "7 in a turn".
-    periods, frequency : float, optional
-        Of the wave that was found: along the position [1/turn], or in time [Hz].
-    """
-
-    view: str
-    share: float
-    p: float
-    label: str = ""
-    alone: float = 1.0
-    periods: float | None = None
-    frequency: float | None = None
+    view: str  # the variables that the residual is taken for a function of
+    share: float  # share of the residual's power in the output
+    p: float  # probability that chance predicts as much in any view
+    label: str = ""  # what was found in it, such as "7 in a turn"
+    alone: float = 1.0  # probability that chance predicts as much in this view alone
+    periods: float | None = None  # of the wave that was found along the position [1/turn]
+    frequency: float | None = None  # of the wave that was found in time [Hz]
 
     def period(self, turn: float) -> float | None:
         """Return the length of the wave that was found, in the unit of `turn` or in seconds; None without a wave."""
@@ -59,21 +45,7 @@ class Share:
 
 @dataclass(frozen=True)
 class View:
-    """What a view predicts of the residual before and after the named effects were added.
-
-    Attributes
-    ----------
-    share, share_after, p, p_after, label : float, float, float, float, str
-        As of `Share`.
-    centres : ndarray, shape (bins,)
-        Values of the variable [SI] at which the residual is drawn.
-    before, after : ndarray, shape (lines, bins)
-        Residual torque there [N.m; N on a linear axis].
-    lines : tuple of str
-        Names of the lines, such as forward and backward for a view with a direction.
-    period : float, optional
-        Length of one period, if that is what is drawn [unit of the variable].
-    """
+    """What a view predicts of the residual before and after the named effects were added; shares, p, label as of `Share`."""
 
     view: str
     share: float
@@ -81,11 +53,11 @@ class View:
     share_after: float
     p_after: float
     label: str = ""
-    centres: Array = field(default_factory=lambda: np.empty(0))
-    before: Array = field(default_factory=lambda: np.empty(0))
-    after: Array = field(default_factory=lambda: np.empty(0))
-    lines: tuple[str, ...] = ()
-    period: float | None = None
+    centres: Array = field(default_factory=lambda: np.empty(0))  # (bins,), values of the variable [SI] at which it is drawn
+    before: Array = field(default_factory=lambda: np.empty(0))  # (lines, bins), residual torque there [N.m; N on a linear axis]
+    after: Array = field(default_factory=lambda: np.empty(0))  # the same
+    lines: tuple[str, ...] = ()  # names of the lines, such as forward and backward
+    period: float | None = None  # length of one period, if that is what is drawn [unit of the variable]
 
 
 def periods_of(name: str, values: Mapping[str, float], turn: float) -> float | None:
@@ -118,7 +90,6 @@ def hysteresis(theta: Array, record: NDArray[np.int_], widths: Array) -> Array:
     """Return the deflections (n, widths) of elastic elements that slide beyond a width, scaled to -1..1.
 
     They are computed at some thousand points of the path and held between them.
-
     Source: albender2005 (hysteresis as parallel elasto-slide elements).
     """
     skip = max(1, len(theta) // PATH_POINTS)

@@ -15,7 +15,7 @@ import casadi as ca
 from bristle.common.errors import BristleError
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
-from bristle.model.variables import State, Variable
+from bristle.model.variables import Variable
 from bristle.plant.effect import Effect, Effects, arrange
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import U_MAX, B
@@ -33,12 +33,7 @@ REFUSED = {  # slot of an effect: why no input can stand in for it
 def refusal(name: str, present: Sequence[str] = (), added: Sequence[str] = ()) -> str | None:
     """Return why an effect cannot act through the input, in one line, or None if it can.
 
-    Parameters
-    ----------
-    name : str
-        The effect.
-    present, added : sequence of str
-        Effects of the whole model, and those of them that the plant to be corrected lacks.
+    `present` are the effects of the whole model, `added` those of them that the plant to be corrected lacks.
     """
     effect = find_effect(name)
     for slot, reason in REFUSED.items():
@@ -91,23 +86,18 @@ def _system(effects: Sequence[Effect]) -> System:
     u = system.input(Variable("u", "V", "input meant for the plant", minimum=-1e9, maximum=1e9))
     for effect in effects:
         for state in effect.states:
-            system.state(_owned(effect, state))
+            system.state(replace(state, name=f"{effect.name}.{state.name}"))
         for state in effect.sampled:
-            system.sampled(_owned(effect, state))
+            system.sampled(replace(state, name=f"{effect.name}.{state.name}"))
     theta, v = SX.sym("theta"), SX.sym("v")  # inputs only if an equation reads them
     work = Effects(system, effects, theta, v)
     asked = work.input("drive", ca.fmin(ca.fmax(work.input("command", u), -u_max), u_max))
     torque = work.torque(work.torque(SX(0), False, theta, v), True, theta, v)
     corrected = _held(system, asked if torque.is_zero() else asked + torque / b, theta, v)
-    system.output(
-        Variable("u_corrected", "V", "input for the plant, held over the coming period"), _with_inputs(system, corrected, theta, v)
-    )
+    result = Variable("u_corrected", "V", "input for the plant, held over the coming period")
+    system.output(result, _with_inputs(system, corrected, theta, v))
     system.rates = {name: _with_inputs(system, rate, theta, v) for name, rate in system.rates.items()}
     return system
-
-
-def _owned(effect: Effect, state: State) -> State:
-    return replace(state, name=f"{effect.name}.{state.name}")
 
 
 def _held(system: System, value: SX, theta: SX, v: SX) -> SX:

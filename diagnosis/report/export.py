@@ -26,42 +26,24 @@ WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.f
 
 @dataclass(frozen=True)
 class Augmented:
-    """A model with what was found: the law, the effects, and the start values [SI] of the servo that they make.
-
-    `model` is the same as a model file.
-    """
+    """A model with what was found."""
 
     model: Model
-    effects: tuple[str, ...]
-    added: tuple[str, ...]
-    parameters: dict[str, float]
-
-    @property
-    def law(self) -> str:
-        """The friction law."""
-        return self.model.friction
+    effects: tuple[str, ...]  # all of the model
+    added: tuple[str, ...]  # those that were found
+    parameters: dict[str, float]  # start values [SI] of the servo
 
 
 def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None:
-    """Return the model with what was found, or None where there is nothing to add it to or nothing that may be added.
+    """Return the model with what was found, or None where nothing may be added.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        From `diagnose` or `diagnose_fmu`.
-    choose : str, optional
-        Member of a tie to take as if it had been named.
-
-    Raises
-    ------
-    BristleError
-        If `choose` is not a member of a tie whose parameters are known.
+    `choose` is a member of a tie to take as if it had been named; `BristleError` if it is none, or its parameters are unknown.
     """
     if choose is not None:
         _check_choice(diagnosis, choose)
     elif diagnosis.verdict not in ("named", "none"):
         return None
-    if diagnosis.model is None or diagnosis.proposals:
+    if diagnosis.proposals:
         return None
     found = {effect.name: effect.parameters for effect in diagnosis.effects}
     own = diagnosis.parameters
@@ -70,7 +52,7 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
         own = diagnosis.choice_parameters.get(choose, own)  # and what was named before, as it is beside that
         found = {name: {key: own.get(f"{name}.{key}", e) for key, e in each.items()} for name, each in found.items()}
         found |= {choose: diagnosis.choices[choose]}
-    model = refit_rescored(diagnosis.model, own or diagnosis.base, found)
+    model = refitted_model(diagnosis.model, own or diagnosis.base, found)
     return Augmented(model, tuple(model.effects), tuple(found), _settings(model))
 
 
@@ -94,7 +76,7 @@ def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
     return next((tie for tie in diagnosis.ties if name in tie), ())
 
 
-def refit_rescored(model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]) -> Model:
+def refitted_model(model: Model, own: Mapping[str, Estimate], found: Mapping[str, Mapping[str, Estimate]]) -> Model:
     """Return the model with fitted values; its bounds give way where a value lies outside, so that the file reads back."""
     values = {**model.parameters, **{name: e.value for name, e in own.items() if name in model.parameters}}
     bounds = {name: (min(low, values[name]), max(high, values[name])) for name, (low, high) in model.bounds.items()}
@@ -165,7 +147,8 @@ def _add_models(package: _Package, augmented: Augmented, fmi: int) -> None:
     possible = [name for name, reason in reasons.items() if reason is None]
     refused = [reason for reason in reasons.values() if reason is not None]
     if possible:
-        package.add("correction.fmu", _about_correction(possible, refused), lambda: _made(_correct(possible, augmented, fmi)))
+        about = _about_correction(possible, refused)
+        package.add("correction.fmu", about, lambda: _made(lambda out: _build_correction(possible, augmented, out, fmi)))
     elif refused:
         package.meaning["no correction.fmu"] = "; ".join(refused)
 
@@ -186,14 +169,11 @@ def _about_correction(possible: list[str], refused: list[str]) -> str:
 
 
 def _build_plant(augmented: Augmented, out: Path, fmi: int) -> None:
-    build("plant", out, fmi=fmi, law=augmented.law, effects=augmented.effects, parameters=augmented.parameters)
+    build("plant", out, fmi=fmi, law=augmented.model.friction, effects=augmented.effects, parameters=augmented.parameters)
 
 
-def _correct(names: list[str], augmented: Augmented, fmi: int) -> Callable[[Path], None]:
-    def make(out: Path) -> None:
-        write_archive(out, program_files(correction_program(names, augmented.parameters), fmi))
-
-    return make
+def _build_correction(names: list[str], augmented: Augmented, out: Path, fmi: int) -> None:
+    write_archive(out, program_files(correction_program(names, augmented.parameters), fmi))
 
 
 def _made(make: Callable[[Path], None]) -> bytes:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,10 +26,10 @@ from bristle.common.drawing import (
     svg,
     thin,
 )
-from bristle.diagnosis.report.result import Candidate, Diagnosis, Round, Trace, View
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.report.result import Diagnosis, Round, Trace, View
 from bristle.diagnosis.report.text import AXES, NATS, effect_name, view_name
 from bristle.plant.wording import Wording
-from bristle.records.layout import INPUT_UNITS
 
 Array = NDArray[np.float64]
 BEFORE, AFTER = ORANGE, BLUE
@@ -56,76 +55,33 @@ def shown(unit: str) -> tuple[float, str]:
     return AXIS_UNITS.get(unit, (1.0, unit))
 
 
-@dataclass(frozen=True)
-class Rig:
-    """What the axes are called: a rotary or linear axis, what drives it, what is measured."""
-
-    linear: bool = False
-    input_kind: str = "torque"
-    output_kind: str = "position"
-
-    @classmethod
-    def of(cls, diagnosis: Diagnosis) -> Rig:
-        """Return the rig of a diagnosis: that of its model or, without one, what the gap's unit tells."""
-        model = diagnosis.model
-        if model is not None:
-            return cls(bool(model.linear), model.input_kind, model.output_kind)
-        unit = diagnosis.gap.output_unit
-        linear = not unit.startswith("rad")
-        return cls(linear, "force" if linear else "torque", "velocity" if "/s" in unit else "position")
-
-    @property
-    def wording(self) -> Wording:
-        """Words for this axis."""
-        return Wording(self.linear, self.input_kind)
-
-    @property
-    def angle(self) -> str:
-        """Unit of a position."""
-        return "m" if self.linear else "rad"
-
-    @property
-    def output(self) -> str:
-        """Unit of what is measured."""
-        return self.angle if self.output_kind == "position" else f"{self.angle}/s"
-
-    @property
-    def torque(self) -> str:
-        """Unit of a residual."""
-        return "N" if self.linear else "N.m"
-
-    @property
-    def drive(self) -> str:
-        """Unit of the input."""
-        return INPUT_UNITS[self.input_kind]
-
-    def axis(self, view: str, period: float | None = None) -> tuple[float, str]:
-        """Return (factor, label) of the axis of a view, or of one period of it."""
-        first = view.split(" ")[0]
-        name, kind = AXES.get("t" if first == "tone" else first, (view, "none"))
-        units = {
-            "angle": self.angle, "speed": f"{self.angle}/s", "acceleration": f"{self.angle}/s2", "input": self.drive,
-            "input rate": f"{self.drive}/s", "time": "s", "frequency": "Hz", "none": "1",
-        }  # fmt: skip
-        factor, unit = shown(units[kind])
-        if period is not None:
-            turns = 0 if self.linear or kind != "angle" else round(2 * math.pi / period)
-            part = f"1/{turns} of a turn" if turns > 1 else "a turn" if turns else f"one period of {factor * period:.3g} {unit}"
-            name = f"{name} within {part}"
-        return factor, f"{name}, {unit.replace('.', '·')}" if unit else name
+def view_axis(model: Model, view: str, period: float | None = None) -> tuple[float, str]:
+    """Return (factor, label) of the axis of a view, or of one period of it."""
+    first, angle, drive = view.split(" ")[0], "m" if model.linear else "rad", model.input_unit
+    name, kind = AXES.get("t" if first == "tone" else first, (view, "none"))
+    units = {
+        "angle": angle, "speed": f"{angle}/s", "acceleration": f"{angle}/s2", "input": drive,
+        "input rate": f"{drive}/s", "time": "s", "frequency": "Hz", "none": "1",
+    }  # fmt: skip
+    factor, unit = shown(units[kind])
+    if period is not None:
+        turns = 0 if model.linear or kind != "angle" else round(2 * math.pi / period)
+        part = f"1/{turns} of a turn" if turns > 1 else "a turn" if turns else f"one period of {factor * period:.3g} {unit}"
+        name = f"{name} within {part}"
+    return factor, f"{name}, {unit.replace('.', '·')}" if unit else name
 
 
 def draw(diagnosis: Diagnosis) -> dict[str, str]:
     """Return the figures by name, each an <svg> element; a figure without data is left out."""
     from matplotlib import rc_context
 
-    rig, made = Rig.of(diagnosis), {}
+    model, made = diagnosis.model, {}
     with rc_context(STYLE):
         for name, figure in (
-            ("gap", _gap(diagnosis, rig)),
-            ("overlay", _overlay(diagnosis, rig)),
-            ("maps", _maps(diagnosis.where, rig, improved(diagnosis))),
-            ("candidates", _candidates(diagnosis, rig)),
+            ("gap", _gap(diagnosis)),
+            ("overlay", _overlay(diagnosis)),
+            ("maps", _maps(diagnosis.where, model, improved(diagnosis))),
+            ("candidates", _candidates(diagnosis)),
         ):
             if figure is not None:
                 made[name] = svg(figure, name)
@@ -143,18 +99,18 @@ def as_given(diagnosis: Diagnosis) -> bool:
 
 
 # -- gap ---------------------------------------------------------------------------------------------------------------
-def rms(square: float | None, rig: Rig) -> tuple[float, str]:
+def rms(square: float | None, output_unit: str) -> tuple[float, str]:
     """Return a mean square as (root, unit) on the scale of the figures; NaN where there is none."""
-    factor, unit = shown(rig.output)
+    factor, unit = shown(output_unit)
     return (math.nan if square is None or square < 0 else factor * math.sqrt(square)), unit
 
 
-def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
-    gap = diagnosis.gap
+def _gap(diagnosis: Diagnosis) -> Any:
+    gap, output_unit = diagnosis.gap, diagnosis.model.output_unit
     first = "before" if improved(diagnosis) else "model as given" if as_given(diagnosis) else "refitted model"
     rows = [(first, gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if improved(diagnosis) else [])
-    values = [rms(square, rig)[0] for _, square, _ in rows]
-    floor, unit = rms(gap.noise_floor, rig)
+    values = [rms(square, output_unit)[0] for _, square, _ in rows]
+    floor, unit = rms(gap.noise_floor, output_unit)
     if not all(map(math.isfinite, values)) or max(values) <= 0:
         return None
     figure = new_figure(11.0, 0.95 + 0.42 * len(rows))
@@ -162,7 +118,7 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     right = 1.4 * max([*values, floor if math.isfinite(floor) else 0.0])
     for row, ((name, square, colour), value) in enumerate(zip(rows, values, strict=True)):
         ax.barh(row, value, color=colour, height=0.62)
-        both = f" ({math.sqrt(square):.3g} {rig.output})" if unit != rig.output else ""  # as the sentences have it
+        both = f" ({math.sqrt(square):.3g} {output_unit})" if unit != output_unit else ""  # as the sentences have it
         ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}{both}", va="center", color=INK)
     if math.isfinite(floor):
         ax.axvspan(0, floor, color=INK, alpha=0.13, linewidth=0, zorder=3)
@@ -175,12 +131,8 @@ def _gap(diagnosis: Diagnosis, rig: Rig) -> Any:
     ax.grid(axis="y", visible=False)
     ax.spines["left"].set_visible(False)
     set_labels(ax, x=f"rms error over {'all' if as_given(diagnosis) else 'held-out'} segments, {unit}")
-    _narrow_left(figure)
-    return figure
-
-
-def _narrow_left(figure: Any) -> None:
     figure.subplots_adjust(left=0.25 / figure.get_size_inches()[0])
+    return figure
 
 
 # -- before and after ----------------------------------------------------------------------------------------------------
@@ -210,17 +162,17 @@ def worst_part(traces: Sequence[Trace], seconds: float = OVERLAY_SECONDS) -> tup
     return None if best is None else best[1:]
 
 
-def _overlay(diagnosis: Diagnosis, rig: Rig) -> Any:
+def _overlay(diagnosis: Diagnosis) -> Any:
     found = worst_part(diagnosis.traces)
     if found is None:
         return None
     trace, part = found
-    both = improved(diagnosis)
+    model, both = diagnosis.model, improved(diagnosis)
     figure = new_figure(11.0, 6.1)
     grid = figure.add_gridspec(3, 1, height_ratios=[0.7, 1.7, 1.0], hspace=0.5)
     along, top, low = (figure.add_subplot(grid[row]) for row in range(3))
-    _along(along, trace, part, rig, both)
-    factor, unit = shown(rig.output)
+    _along(along, trace, part, model, both)
+    factor, unit = shown(model.output_unit)
     index = np.arange(len(trace.time))[part]
     index = index[thin(len(index), CURVE_POINTS)]
     time = trace.time[index]
@@ -236,14 +188,14 @@ def _overlay(diagnosis: Diagnosis, rig: Rig) -> Any:
         ax.set_xlim(trace.time[part][0], trace.time[part][-1])
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.19))
     set_title(top, f"{trace.name}, where the error is largest")
-    set_labels(top, y=f"{rig.output_kind}, {unit}")
+    set_labels(top, y=f"{model.output_kind}, {unit}")
     set_labels(low, x="time, s", y=f"error, {unit}")
     return figure
 
 
-def _along(ax: Any, trace: Trace, part: slice, rig: Rig, both: bool) -> None:
+def _along(ax: Any, trace: Trace, part: slice, model: Model, both: bool) -> None:
     """Draw the errors along the whole record, and which part is shown below."""
-    factor, unit = shown(rig.output)
+    factor, unit = shown(model.output_unit)
     count = max(2, round(ERROR_SLICE / float(np.median(np.diff(trace.time)))))
     index = thin(len(trace.time), CURVE_POINTS)
     for values, colour in ((trace.before, BEFORE), (trace.after, AFTER))[: 2 if both else 1]:
@@ -264,19 +216,19 @@ def _shade(ax: Any, time: Array, held_out: NDArray[np.bool_]) -> None:
 
 
 # -- residual maps -------------------------------------------------------------------------------------------------------
-def _maps(views: Sequence[View], rig: Rig, both: bool) -> Any:
+def _maps(views: Sequence[View], model: Model, both: bool) -> Any:
     drawn = [view for view in views if view.centres.size > 1 and view.before.size][:DRAWN_MAPS]
     if not drawn:
         return None
     figure = new_figure(11.0, 3.5)
     axes = figure.subplots(1, len(drawn), squeeze=False)[0]
     figure.subplots_adjust(wspace=0.26)
-    _, torque = shown(rig.torque)
+    _, torque = shown("N" if model.linear else "N.m")
     power = _thousands([each for view in drawn for each in (view.before, view.after)])
     for ax, view in zip(axes, drawn, strict=True):
-        _map(ax, view, rig, both, 10.0**-power)
+        _map(ax, view, model, both, 10.0**-power)
     scale = f"10{str(power).translate(RAISED)} " if power else ""
-    set_labels(axes[0], y=f"residual {'force' if rig.linear else 'torque'}, {scale}{torque}")
+    set_labels(axes[0], y=f"residual {model.wording.torque}, {scale}{torque}")
     return figure
 
 
@@ -286,8 +238,8 @@ def _thousands(values: Sequence[Array]) -> int:
     return 0 if most == 0 or 0.01 <= most < 1e4 else 3 * math.floor(math.log10(most) / 3)
 
 
-def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
-    factor, label = rig.axis(view.view, view.period)
+def _map(ax: Any, view: View, model: Model, both: bool, scale: float) -> None:
+    factor, label = view_axis(model, view.view, view.period)
     x = factor * view.centres
     for row, before in enumerate(np.atleast_2d(view.before)):
         style: Any = ("-", (0, (4, 2)))[row % 2]
@@ -305,25 +257,22 @@ def _map(ax: Any, view: View, rig: Rig, both: bool, scale: float) -> None:
 
 
 # -- candidates ----------------------------------------------------------------------------------------------------------
-def _candidates(diagnosis: Diagnosis, rig: Rig) -> Any:
+def _candidates(diagnosis: Diagnosis) -> Any:
     rounds = [r for r in diagnosis.rounds if r.candidates]
     if not rounds:
         return None
-    columns = min(PER_ROW, len(rounds))
+    wording, columns = diagnosis.model.wording, min(PER_ROW, len(rounds))
     rows = -(-len(rounds) // columns)
     bars = max(min(DRAWN_BARS, len(r.candidates)) for r in rounds)
     figure = new_figure(11.0, rows * (0.26 * bars + 0.95))
     axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
     figure.subplots_adjust(left=NAME_WIDTH, wspace=NAME_WIDTH * columns / (1.0 - columns * NAME_WIDTH), hspace=0.5)
     for number, (ax, each) in enumerate(zip(axes, rounds, strict=False), start=1):
-        _bars(ax, each, _tied(diagnosis, each, number == len(rounds)), rig.wording)
+        _bars(ax, each, _tied(diagnosis, each, number == len(rounds)), wording)
         more = len(each.candidates) - DRAWN_BARS
-        added = f"{effect_name(each.added, rig.wording)} added" if each.added else "nothing added"
-        set_title(
-            ax,
-            f"round {number}: {added}" + (f"; {more} more gain less" if more > 0 else ""),
-            x=-0.97 * NAME_WIDTH / ax.get_position().width,
-        )
+        added = f"{effect_name(each.added, wording)} added" if each.added else "nothing added"
+        title = f"round {number}: {added}" + (f"; {more} more gain less" if more > 0 else "")
+        set_title(ax, title, x=-0.97 * NAME_WIDTH / ax.get_position().width)
     for ax in axes[len(rounds) :]:
         ax.set_visible(False)
     return figure
@@ -346,7 +295,8 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
         ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
         tried = math.isfinite(candidate.gain)
         gain = max(candidate.gain, 0.0) if tried else 0.0
-        ax.barh(row, gain, color=_shade_of(candidate, each, tied), height=0.62)
+        colour = BLUE if candidate.name == each.added else RED if candidate.name in tied else PALE
+        ax.barh(row, gain, color=colour, height=0.62)
         gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
         note = f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})" if candidate.note else ""
         ax.text(gain + 0.012 * right, row, f"{gained}{note}", va="center", fontsize=8, color=INK, clip_on=True, bbox=LABEL)
@@ -359,17 +309,9 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     set_labels(ax, x="gain, nats")
 
 
-def _shade_of(candidate: Candidate, each: Round, tied: set[str]) -> str:
-    if candidate.name == each.added:
-        return BLUE
-    if candidate.name in tied:
-        return RED
-    return PALE
-
-
 def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     """Return title and caption of each figure."""
-    both, torque = improved(diagnosis), Rig.of(diagnosis).wording.torque
+    both, torque = improved(diagnosis), diagnosis.model.wording.torque
     floor = " Grey band: the noise floor, what disturbance and sensor noise alone account for."
     band = floor if diagnosis.gap.noise_floor is not None else ""
     before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."

@@ -12,7 +12,7 @@ import numpy as np
 from bristle.common.html import badge, figure, number, page, table, unit
 from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P
 from bristle.diagnosis.localisation.unexplained import CERTAIN_P
-from bristle.diagnosis.report.figures import Rig, as_given, captions, improved
+from bristle.diagnosis.report.figures import as_given, captions, improved
 from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Named
 from bristle.diagnosis.report.text import (
     NATS,
@@ -25,6 +25,7 @@ from bristle.diagnosis.report.text import (
     view_name,
 )
 from bristle.plant.effects import effects as all_effects
+from bristle.plant.wording import Wording
 
 BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
 VERDICTS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
@@ -42,7 +43,7 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict as a heading."""
     if diagnosis.proposals:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
-    wording = Rig.of(diagnosis).wording
+    wording = diagnosis.model.wording
     if diagnosis.verdict == "named":
         ties = {name: tie for tie in diagnosis.ties for name in tie}
         lacking = [effects_listed(ties.get(each.name, (each.name,)), "or", wording) for each in diagnosis.effects]
@@ -70,15 +71,10 @@ def interval(value: float, low: float, high: float) -> str:
 
 # -- tables ------------------------------------------------------------------------------------------------------------
 class _Writer:
-    """Writes estimates in the units of a rig."""
+    """Writes effects and estimates in the words of an axis."""
 
-    def __init__(self, rig: Rig) -> None:
-        self.rig = rig
-
-        self.known = all_effects(rig.wording)
-
-    def unit(self, text: str) -> str:
-        return unit(text) or "–"
+    def __init__(self, wording: Wording) -> None:
+        self.wording, self.known = wording, all_effects(wording)
 
     def estimate(self, e: Estimate | None) -> str:
         """Write value, interval and, where it ended there, the bound."""
@@ -89,32 +85,33 @@ class _Writer:
 
     def name(self, effect: str) -> str:
         """Write an effect in words, with its identifier."""
-        return f"<b>{escape(effect_name(effect, self.rig.wording))}</b>"
+        return f"<b>{escape(effect_name(effect, self.wording))}</b>"
 
     def effects(self, effects: Iterable[Named]) -> str:
         """Return the table of named effects, a line for each parameter."""
         rows = []
         for effect in effects:
-            meaning = self.known[effect.name].description if effect.name in self.known else effect.group
+            known = self.known[effect.name]
+            meaning = "" if known.description == known.title else f'<div class="sub">{escape(known.description)}</div>'
             facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
-            first = f'{self.name(effect.name)}<div class="sub">{escape(meaning)}</div><div class="sub">{facts}</div>'
+            first = f'{self.name(effect.name)}{meaning}<div class="sub">{facts}</div>'
             rows += self._parameters(effect.name, first, effect.parameters)
         text = table(("effect", "parameter", "value, 95 % interval", "unit"), rows) if rows else ""
         return text + (f'<p class="sub">Nats: {NATS}; p: probability of as much by chance.</p>' if rows else "")
 
     def _parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
-        meanings = {p.name: p.description for p in self.known[name].parameters} if name in self.known else {}
+        meanings = {p.name: p.description for p in self.known[name].parameters}
         rows: list[tuple[str, ...]] = []
         for k, (key, e) in enumerate(parameters.items()):
             meaning = meanings.get(f"{name}.{key}", "")
             label = f'{escape(key)}<div class="sub">{escape(meaning)}</div>'
-            rows.append((first if k == 0 else "", label, self.estimate(e), self.unit(e.unit)))
+            rows.append((first if k == 0 else "", label, self.estimate(e), unit(e.unit) or "–"))
         return rows or [(first, "", "", "")]
 
     def base(self, diagnosis: Diagnosis, choose: str | None) -> str:
         """Return the model's parameters: nominal, refitted, refitted with the effects."""
         model = diagnosis.model
-        nominal = model.values if model is not None else {}
+        nominal = model.values
         columns = {"refitted without effects": diagnosis.base} if diagnosis.base else {}
         if diagnosis.effects:
             columns["with " + listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
@@ -125,7 +122,7 @@ class _Writer:
         rows = []
         for name in dict.fromkeys([*nominal, *units]):
             fitted = [self.estimate(column[name]) if name in column else "not fitted" for column in columns.values()]
-            rows.append((escape(name), self.unit(units[name]), number(nominal.get(name)), *fitted))
+            rows.append((escape(name), unit(units[name]) or "–", number(nominal.get(name)), *fitted))
         return table(("parameter", "unit", "nominal", *map(escape, columns)), rows, (2,))
 
 
@@ -148,7 +145,7 @@ def _proposals(diagnosis: Diagnosis) -> str:
 def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
     if not diagnosis.ties:
         return ""
-    wording = writer.rig.wording
+    wording = writer.wording
     parts = [f"<p>The records cannot distinguish {escape(effects_listed(t, 'from', wording))}.</p>" for t in diagnosis.ties]
     if diagnosis.choices:
         members = (Named(name, "", found, math.nan, math.nan) for name, found in diagnosis.choices.items())
@@ -167,9 +164,8 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
         return ""
     if improved(diagnosis) and gap.after >= gap.before:
         return f"<p>On held-out segments the error did not fall: {OUTLIER_NOTE}.</p>"
-    most, least = (
-        ("at most ", "at least ") if diagnosis.remains.flag else ("", "")
-    )  # an unexplained residual is partly taken for noise
+    # an unexplained residual is partly taken for noise
+    most, least = ("at most ", "at least ") if diagnosis.remains.flag else ("", "")
     if gap.shrink is not None and improved(diagnosis):
         closed = gap.noise_floor is not None and gap.after <= gap.noise_floor and not diagnosis.remains.flag
         rest = ", down to what disturbance and sensor noise alone account for" if closed else ""
@@ -190,7 +186,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
         return ""  # nothing was searched, or it waits for wider bounds
     open_tie = bool(diagnosis.ties and not diagnosis.effects)
     if left.flag:
-        lines = unexplained_lines(left, Rig.of(diagnosis).wording, open_tie)
+        lines = unexplained_lines(left, diagnosis.model.wording, open_tie)
         return "".join(f'<p class="alarm">{escape(line)}</p>' for line in lines)
     certain = [v for v in diagnosis.where if v.p_after <= CERTAIN_P]
     said = "no motion variable predicts more of the residual than chance does"
@@ -232,7 +228,7 @@ def _excitation(diagnosis: Diagnosis) -> str:
 
 
 def _undetected(diagnosis: Diagnosis) -> str:
-    wording = Rig.of(diagnosis).wording
+    wording = diagnosis.model.wording
     rows = [(escape(effect_name(name, wording)), escape(text)) for name, text in diagnosis.undetected.items()]
     return table(("effect", "what would have been detected"), rows) if rows else ""
 
@@ -241,14 +237,16 @@ def _rounds(diagnosis: Diagnosis) -> str:
     rows = []
     for k, each in enumerate(diagnosis.rounds, start=1):
         best = max((c for c in each.candidates if math.isfinite(c.gain)), key=lambda c: c.gain, default=None)
-        rows.append((str(k), _best(best, Rig.of(diagnosis)), number(each.null_level, 3), number(each.p, 2), escape(each.decision)))
+        rows.append(
+            (str(k), _best(best, diagnosis.model.wording), number(each.null_level, 3), number(each.p, 2), escape(each.decision))
+        )
     return table(("round", "best candidate", "gain by chance, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
 
 
-def _best(candidate: Candidate | None, rig: Rig) -> str:
+def _best(candidate: Candidate | None, wording: Wording) -> str:
     if candidate is None:
         return "–"
-    return f'{escape(effect_name(candidate.name, rig.wording))}<div class="sub">gain {number(candidate.gain, 3)} nats</div>'
+    return f'{escape(effect_name(candidate.name, wording))}<div class="sub">gain {number(candidate.gain, 3)} nats</div>'
 
 
 def _files(files: Mapping[str, str]) -> str:
@@ -256,34 +254,21 @@ def _files(files: Mapping[str, str]) -> str:
 
 
 def _records(diagnosis: Diagnosis) -> str:
-    said = []
-    for trace in diagnosis.traces:
-        said.append(f"{trace.name} ({number(float(np.ptp(trace.time)), 3)} s)")
-    return "; ".join(said) or "records that contradict the model"
+    return (
+        "; ".join(f"{t.name} ({number(float(np.ptp(t.time)), 3)} s)" for t in diagnosis.traces)
+        or "records that contradict the model"
+    )
 
 
 def render(
-    diagnosis: Diagnosis,
-    figures: Mapping[str, str],
-    files: Mapping[str, str],
-    notes: Sequence[str] = (),
-    choose: str | None = None,
+    diagnosis: Diagnosis, figures: Mapping[str, str], files: Mapping[str, str], notes: Sequence[str] = (), choose: str | None = None
 ) -> str:
     """Return the page.
 
-    Parameters
-    ----------
-    figures : mapping of str to str
-        SVG text by name, as `figures.draw` gives it.
-    files : mapping of str to str
-        What was written: file name and what it is.
-    notes : sequence of str
-        What could not be written, and why.
-    choose : str, optional
-        Member of a tie that was chosen by hand.
+    `figures` holds SVG text by name, from `figures.draw`; `files` what was written, name and meaning; `notes` what could not be
+    written, and why; `choose` is a member of a tie that was chosen by hand.
     """
-    rig = Rig.of(diagnosis)
-    writer = _Writer(rig)
+    writer = _Writer(diagnosis.model.wording)
     words = captions(diagnosis)
     drawn = {name: figure(words[name][0], text, words[name][1]) for name, text in figures.items()}
     lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in diagnosis.statement)

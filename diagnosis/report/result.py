@@ -12,6 +12,7 @@ from bristle.common.output import plain
 from bristle.diagnosis.estimation.uncertainty import Estimate as Estimate
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.localisation.views import View as View
+from bristle.diagnosis.modelfile import Model
 
 Array = NDArray[np.float64]
 
@@ -29,75 +30,40 @@ class Named:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate effect of a round.
-
-    Attributes
-    ----------
-    gain, level : float
-        Rise of the log-likelihood, and the rise that chance reaches [nats]; NaN (null in diagnosis.json) if it was not tried.
-    note : str
-        Why it was not tried, or an empty text.
-    size : float, optional
-        Factor by which the mean squared error falls; this and what follows only of candidates above chance.
-    kept : float, optional
-        Gain on held-out segments [nats].
-    behind, doubt : float, optional
-        Log-likelihood of the best candidate above that of this one, and its standard error [nats].
-    """
+    """A candidate effect of a round; `size` and what follows only of candidates above chance."""
 
     name: str
-    gain: float
-    level: float
-    note: str = ""
-    size: float | None = None
-    kept: float | None = None
-    behind: float | None = None
-    doubt: float | None = None
+    gain: float  # rise of the log-likelihood [nats]; NaN (null in diagnosis.json) if it was not tried
+    level: float  # rise that chance reaches [nats]
+    note: str = ""  # why it was not tried
+    size: float | None = None  # factor by which the mean squared error falls
+    kept: float | None = None  # gain on held-out segments [nats]
+    behind: float | None = None  # log-likelihood of the best candidate above that of this one [nats]
+    doubt: float | None = None  # its standard error [nats]
 
 
 @dataclass(frozen=True)
 class Round:
-    """One round of the stepwise search.
-
-    Attributes
-    ----------
-    null_level, p : float
-        Gain that chance reaches for the best candidate [nats], and the probability of its gain by chance.
-    added : str or None
-        The effect that was added.
-    decision : str
-        The decision and its reason.
-    gain, size : float
-        Gain of the best candidate under the noise that it leaves [nats]; factor by which it lowers the mean squared error.
-    finer : float, optional
-        The same gain with finer steps of the simulation.
-    rejected : str or None
-        The best candidate, if it was not added for a reason of its own.
-    """
+    """One round of the stepwise search."""
 
     candidates: tuple[Candidate, ...]
-    null_level: float
-    p: float
-    added: str | None
-    decision: str
-    gain: float = 0.0
-    size: float = 1.0
-    finer: float | None = None
-    rejected: str | None = None
+    null_level: float  # gain that chance reaches for the best candidate [nats]
+    p: float  # probability of the best candidate's gain by chance
+    added: str | None  # the effect that was added
+    decision: str  # with its reason
+    gain: float = 0.0  # of the best candidate under the noise that it leaves [nats]
+    size: float = 1.0  # factor by which the best candidate lowers the mean squared error
+    finer: float | None = None  # the gain with finer steps of the simulation
+    rejected: str | None = None  # the best candidate, if it was not added for a reason of its own
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean squared output error over held-out segments [`unit`], with optimal initial states.
+    """Mean squared output error over held-out segments [`unit`], with optimal initial states."""
 
-    `before`: of the model refitted without effects; `after`: with the named ones; `noise_floor`: what disturbance and sensor
-    noise alone would leave, None where that is not known; `output_unit` is that of the output. `ratio`: before over floor;
-    `shrink`: share of what is above the floor that was closed.
-    """
-
-    before: float
-    after: float
-    noise_floor: float | None
+    before: float  # of the model refitted without effects
+    after: float  # with the named ones
+    noise_floor: float | None  # what disturbance and sensor noise alone would leave, None where that is not known
     output_unit: str
 
     @property
@@ -112,10 +78,12 @@ class Gap:
 
     @property
     def ratio(self) -> float | None:
+        """Error before over noise floor."""
         return None if not self.noise_floor else self.before / self.noise_floor
 
     @property
     def shrink(self) -> float | None:
+        """Share of the error above the noise floor that was closed."""
         if self.noise_floor is None or self.before <= self.noise_floor:
             return None
         return (self.before - self.after) / (self.before - self.noise_floor)
@@ -123,19 +91,15 @@ class Gap:
 
 @dataclass(frozen=True)
 class Trace:
-    """Measured and simulated output of one record, segment by segment (NaN where it was not compared).
-
-    All arrays are (n,), an average a bin: `time` [s], `input` [unit of the input in SI], `measured`, `before` and `after`
-    [output]; `held_out` is true in held-out segments.
-    """
+    """Measured and simulated output of one record, a value a bin, shape (n,); NaN where it was not compared."""
 
     name: str
-    time: Array
-    input: Array
-    measured: Array
+    time: Array  # [s]
+    input: Array  # [SI]
+    measured: Array  # [output], as are before and after
     before: Array
     after: Array
-    held_out: NDArray[np.bool_]
+    held_out: NDArray[np.bool_]  # whether a bin is in a held-out segment
 
 
 @dataclass(frozen=True)
@@ -165,10 +129,8 @@ class Diagnosis:
         ``narrow``, why the excitation is too poor, or an empty text.
     findings : tuple of str
         Lines about records and model: what, where, what to do.
-    base : dict of str to Estimate
-        Parameters of the model, refitted without effects (SI).
-    parameters : dict of str to Estimate
-        The same with the effects added.
+    base, parameters : dict of str to Estimate
+        Parameters of the model, refitted without effects and with them (SI).
     rounds : tuple of Round
         The rounds of the search, each with its candidates.
     undetected : dict of str to str
@@ -181,10 +143,8 @@ class Diagnosis:
         What to correct in data or model first: a sign, a factor of a unit, a bound.
     seconds : float
         How long it took [s].
-    choices : dict of str to dict of str to Estimate
-        Of each member of a tie, as if it had been named: its parameters.
-    choice_parameters : dict of str to dict of str to Estimate
-        The same of the parameters of the model beside it.
+    choices, choice_parameters : dict of str to dict of str to Estimate
+        Of each member of a tie, as if it had been named: its parameters, and those of the model beside it.
     """
 
     verdict: str
@@ -202,7 +162,7 @@ class Diagnosis:
     rounds: tuple[Round, ...]
     undetected: dict[str, str]
     traces: tuple[Trace, ...]
-    model: Any = None
+    model: Model
     proposals: tuple[str, ...] = ()
     seconds: float = 0.0
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
@@ -215,8 +175,7 @@ class Diagnosis:
                 "verdict": self.verdict,
                 "statement": list(self.statement),
                 "effects": [
-                    {"name": e.name, "class": e.group, "parameters": {k: asdict(v) for k, v in e.parameters.items()},
-                     "gain": e.gain, "p": e.p}
+                    {"name": e.name, "class": e.group, "parameters": _numbers(e.parameters), "gain": e.gain, "p": e.p}
                     for e in self.effects
                 ],
                 "ties": [list(t) for t in self.ties],
@@ -231,12 +190,16 @@ class Diagnosis:
                 "excitation": self.excitation,
                 "findings": list(self.findings),
                 "proposals": list(self.proposals),
-                "base": {k: asdict(v) for k, v in self.base.items()},
-                "parameters": {k: asdict(v) for k, v in self.parameters.items()},
+                "base": _numbers(self.base),
+                "parameters": _numbers(self.parameters),
                 "rounds": [asdict(r) for r in self.rounds],
                 "undetected": dict(self.undetected),
-                "choices": {n: {k: asdict(v) for k, v in found.items()} for n, found in self.choices.items()},
+                "choices": {name: _numbers(found) for name, found in self.choices.items()},
                 "seconds": self.seconds,
             }
         )  # fmt: skip
         return content
+
+
+def _numbers(estimates: dict[str, Estimate]) -> dict[str, dict[str, Any]]:
+    return {name: asdict(e) for name, e in estimates.items()}

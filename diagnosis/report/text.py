@@ -34,26 +34,16 @@ AXES = {  # first part of a view -> name and kind of quantity
 
 @dataclass(frozen=True)
 class Facts:
-    """What the sentences are written from.
-
-    Attributes
-    ----------
-    parameters : mapping of str to Estimate
-        All fitted parameters, for those that end at a bound.
-    unidentified : tuple of str
-        The model's parameters if the records determine none of them.
-    narrow : str
-        Why the motion is too poor to distinguish effects, or an empty text.
-    """
+    """What the sentences are written from."""
 
     verdict: str
     gap: Gap
     remains: Unexplained
     effects: Sequence[Named] = ()
     ties: Sequence[Sequence[str]] = ()
-    parameters: Mapping[str, Estimate] | None = None
-    unidentified: Sequence[str] = ()
-    narrow: str = ""
+    parameters: Mapping[str, Estimate] | None = None  # all that were fitted, for those that end at a bound
+    unidentified: Sequence[str] = ()  # the model's parameters if the records determine none of them
+    narrow: str = ""  # why the motion is too poor to distinguish effects
     wording: Wording = ROTARY
 
 
@@ -122,8 +112,7 @@ def value(e: Estimate) -> str:
 
 
 def reported_parameters(e: Named) -> dict[str, Estimate]:
-    """Return the parameters of an effect that a sentence gives: those of its form, or of a second term, only if the effect
-    cannot be without them."""
+    """Return the parameters of an effect that a sentence gives: those of its form or of a second term only if it needs them."""
     known = find_effect(e.name)
     defaults = {p.name.split(".")[1]: p.default for p in known.parameters}
 
@@ -131,10 +120,8 @@ def reported_parameters(e: Named) -> dict[str, Estimate]:
         found = [(defaults[name], e.parameters[name].ci95) for name in names if name in e.parameters]
         return all(ci is not None and ci[0] <= default <= ci[1] for default, ci in found)
 
-    left_out = {
-        *(known.shape_parameters if idle(known.shape_parameters) else ()),
-        *(known.second_term if idle(known.second_term[:1]) else ()),
-    }
+    left_out = {*known.shape_parameters} if idle(known.shape_parameters) else set()
+    left_out |= {*known.second_term} if idle(known.second_term[:1]) else set()
     return {name: estimate for name, estimate in e.parameters.items() if name not in left_out}
 
 
@@ -185,9 +172,8 @@ def _without_name(facts: Facts) -> Iterator[str]:
 def _error(facts: Facts) -> str:
     """Return the line on the error of the output."""
     gap = facts.gap
-    before, after, floor = (
-        math.sqrt(x) if x is not None and x >= 0 else math.nan for x in (gap.before, gap.after, gap.noise_floor)
-    )
+    squares = gap.before, gap.after, gap.noise_floor
+    before, after, floor = (math.sqrt(x) if x is not None and x >= 0 else math.nan for x in squares)
     most = "at most " if facts.remains.flag else ""  # an unexplained residual is partly taken for noise
     alone = f"disturbance and sensor noise alone account for {most}{floor:.3g} {gap.output_unit}"
     if gap.noise_floor is None:
@@ -226,10 +212,8 @@ def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:
     if own:
         yield f"The refit of {', '.join(own)} ends at a bound: widen it in [bounds], or check units and signs."
     if others := [name for name in stuck if name not in own]:
-        yield (
-            f"{', '.join(others)} ends at the limit of its interval: that is a limit, not an estimate; the effect may stand in "
-            "for another one."
-        )
+        limit = "ends at the limit of its interval: that is a limit, not an estimate"
+        yield f"{', '.join(others)} {limit}; the effect may stand in for another one."
 
 
 def experiment(facts: Facts) -> str:
@@ -262,7 +246,7 @@ def _search_further(left: Unexplained) -> str:
 
 # -- what was not found --------------------------------------------------------------------------------------------------
 def undetected(
-    found: Sequence[Undetected], model: Model | None, tied: Collection[str] = (), added: str = "", drifting: bool = False
+    found: Sequence[Undetected], model: Model, tied: Collection[str] = (), added: str = "", drifting: bool = False
 ) -> dict[str, str]:
     """Return for each effect that was not found how large it may be without being detected.
 
@@ -280,18 +264,16 @@ def undetected(
     return texts
 
 
-def _undetected(each: Undetected, model: Model | None, added: str) -> str:
-    wording = model.wording if model is not None else ROTARY
-    effect = find_effect(each.name, wording)
+def _undetected(each: Undetected, model: Model, added: str) -> str:
+    effect = find_effect(each.name, model.wording)
     needs = f"what shows it: {effect.excitation}"
     if each.reason:
         return each.reason
     if each.gain is not None and added:
-        return f"before {effect_name(added, wording)} was added it gained {each.gain:.0f} nats; beside that nothing shows it"
+        return f"before {effect_name(added, model.wording)} was added it gained {each.gain:.0f} nats; beside that nothing shows it"
     if each.gain is not None:
-        return (
-            f"something like it shows (gain {each.gain:.0f} nats), but too little of it, or not in the range that the search allows"
-        )
+        little = "but too little of it, or not in the range that the search allows"
+        return f"something like it shows (gain {each.gain:.0f} nats), {little}"
     if each.confounded:
         return f"these records cannot distinguish it from {', '.join(each.confounded)}; {needs}"
     if not each.measurable:
@@ -299,5 +281,5 @@ def _undetected(each: Undetected, model: Model | None, added: str) -> str:
     if each.limit is None:
         return f"these records cannot show it; {needs}"
     strength = effect.parameters[0]
-    unit = "1" if model is None else model.unit(strength.name)
+    unit = model.unit(strength.name)
     return f"{strength.description}: more than {each.limit:.2g}{'' if unit == '1' else ' ' + unit} would have been detected"

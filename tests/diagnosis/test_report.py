@@ -15,7 +15,7 @@ import pytest
 from bristle.common.drawing import RED
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
-from bristle.diagnosis.report.figures import Rig, draw, worst_part
+from bristle.diagnosis.report.figures import draw, view_axis, worst_part
 from bristle.diagnosis.report.html import interval, render
 from bristle.diagnosis.report.result import Estimate, Gap, Named, Trace
 from bristle.diagnosis.report.text import Facts, experiment, reported_parameters, statement, undetected, value, view_name
@@ -238,9 +238,9 @@ def test_a_linear_axis_reads_in_metres_newtons_and_kilograms(answer):
     texts = svg_texts(draw(diagnosis)["overlay"])
     assert "position, mm" in texts
     assert "error, mm" in texts
-    assert Rig.of(diagnosis).axis("theta") == (1e3, "position, mm")
-    assert Rig.of(diagnosis).axis("u") == (1.0, "input, N")
-    assert Rig.of(diagnosis).axis("theta", 0.0032) == (1e3, "position within one period of 3.2 mm, mm")
+    assert view_axis(diagnosis.model, "theta") == (1e3, "position, mm")
+    assert view_axis(diagnosis.model, "u") == (1.0, "input, N")
+    assert view_axis(diagnosis.model, "theta", 0.0032) == (1e3, "position within one period of 3.2 mm, mm")
 
 
 def test_a_turning_axis_reads_in_degrees(answer):
@@ -248,14 +248,14 @@ def test_a_turning_axis_reads_in_degrees(answer):
     assert "position, deg" in svg_texts(figures["overlay"])
     assert "residual torque, N·m" in svg_texts(figures["maps"])
     assert "before: 0.164 deg (0.00286 rad)" in svg_texts(figures["gap"])
-    assert Rig.of(replace(answer("named"), model=None)) == Rig(False, "torque", "position")
 
 
-def test_the_axis_of_what_repeats_says_how_long_a_period_is():
-    assert Rig().axis("theta x u", 2 * math.pi / 7)[1] == "position within 1/7 of a turn, deg"
-    assert Rig().axis("theta", 2 * math.pi)[1] == "position within a turn, deg"
-    assert Rig().axis("tone", 0.3891)[1] == "time within one period of 0.389 s, s"
-    assert Rig().axis("tone")[1] == "time, s"
+def test_the_axis_of_what_repeats_says_how_long_a_period_is(fabricated):
+    turning = fabricated.model()
+    assert view_axis(turning, "theta x u", 2 * math.pi / 7)[1] == "position within 1/7 of a turn, deg"
+    assert view_axis(turning, "theta", 2 * math.pi)[1] == "position within a turn, deg"
+    assert view_axis(turning, "tone", 0.3891)[1] == "time within one period of 0.389 s, s"
+    assert view_axis(turning, "tone")[1] == "time, s"
 
 
 def test_the_units_follow_the_input(answer, fabricated):
@@ -402,9 +402,9 @@ def test_words_are_those_of_the_axis_and_of_its_input():
     assert effect("back_emf", Wording(input_kind="current")).description == "current that the turning motor takes from the drive"
 
 
-def test_what_was_not_found_is_not_said_to_need_what_the_records_have():
+def test_what_was_not_found_is_not_said_to_need_what_the_records_have(fabricated):
     [found] = detection_limits([Candidate("backlash", SimpleNamespace(total=0.0, free=()))], Null(np.zeros(1), {}), 0.0)
-    assert undetected([found], None) == {"backlash": "tried, and no trace of it; what shows it: reversals"}
+    assert undetected([found], fabricated.model()) == {"backlash": "tried, and no trace of it; what shows it: reversals"}
 
 
 def test_a_linear_axis_has_no_torque(answer):
