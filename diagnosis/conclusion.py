@@ -21,7 +21,7 @@ from bristle.diagnosis.localisation.views import Share
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.report.text import Facts, experiment, statement, undetected
-from bristle.diagnosis.selection.candidates import Assessment, Candidate
+from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.effect_size import fall
@@ -50,20 +50,13 @@ class Case:
 class Comparison:
     """A model against the one before the search.
 
-    Attributes
-    ----------
-    views, shares
-        Localisation of both residuals, and the shares of the later one.
-    gap : Gap
-        Errors on held-out segments.
-    error_fall : float
-        Factor by which the error falls there, outliers clipped.
+    `views`, `shares`: localisation of both residuals, and the shares of the later one.
     """
 
     views: tuple[answer.View, ...]
     shares: list[Share]
-    gap: answer.Gap
-    error_fall: float
+    gap: answer.Gap  # errors on held-out segments
+    error_fall: float  # factor by which the error falls there, outliers clipped
 
     @classmethod
     def of(cls, case: Case, final: FittedModel) -> Comparison:
@@ -90,40 +83,26 @@ class Comparison:
 class Conclusion:
     """What the records say.
 
-    Attributes
-    ----------
-    final : FittedModel
-        The model with all effects that are named.
-    comparison : Comparison
-        Of the final model with the one before the search.
-    undecided : tuple of str
-        Members of a tie that was not resolved, or the effect that was withdrawn.
-    base, parameters : mapping of str to Estimate
-        Of the model before the search, and of the final model with its effects.
-    unidentified : tuple of str
-        The model's parameters if the records determine none of them.
-    choices : mapping of str to mapping of str to Estimate
-        Parameters with each member of a tie in place of the named effect.
-    proposal : str
-        Wider bounds to try first, or an empty text.
+    `base`, `parameters`: of the model before the search, and of the final model with its effects. `choices`: parameters with each
+    member of a tie in place of the named effect.
 
     Others are as of `Diagnosis`.
     """
 
     verdict: str
-    final: FittedModel
+    final: FittedModel  # the model with all effects that are named
     rounds: tuple[SearchRound, ...]
-    comparison: Comparison
+    comparison: Comparison  # of the final model with the one before the search
     remains: Unexplained
     gap: answer.Gap
     effects: tuple[answer.Named, ...]
     ties: tuple[tuple[str, ...], ...]
-    undecided: tuple[str, ...]
+    undecided: tuple[str, ...]  # members of a tie that was not resolved, or the effect that was withdrawn
     base: dict[str, answer.Estimate]
     parameters: dict[str, answer.Estimate]
-    unidentified: tuple[str, ...] = ()
+    unidentified: tuple[str, ...] = ()  # the model's parameters if the records determine none of them
     choices: Mapping[str, Mapping[str, answer.Estimate]] = field(default_factory=dict)
-    proposal: str = ""
+    proposal: str = ""  # wider bounds to try first, or an empty text
 
     @property
     def own_parameters(self) -> dict[str, answer.Estimate]:
@@ -133,12 +112,13 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class Additions:
-    """What a workflow adds to a diagnosis: lines before and after, and the model to report if it is not the one searched."""
+    """What a workflow adds to a diagnosis: lines before and after, proposals, and the model if it is not the one searched."""
 
     statement: Sequence[str] = ()
     findings_before: Sequence[str] = ()
     findings_after: Sequence[str] = ()
     model: Model | None = None
+    proposals: tuple[str, ...] = ()
 
 
 def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
@@ -156,21 +136,11 @@ def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
     verdict = "named" if named else unnamed(last, case.dataset.poor_excitation, left, unidentified)
     floor_unknown = left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE)
     return Conclusion(
-        verdict="not_identifiable" if proposal else verdict,
-        final=final,
-        rounds=rounds,
-        comparison=comparison,
-        remains=left,
-        gap=known_floor(comparison.gap, floor_unknown),
-        effects=_named(rounds, named, parameters),
-        ties=() if proposal else _ties(rounds),
-        undecided=undecided,
-        base=base,
-        parameters=parameters,
-        unidentified=unidentified,
-        choices={} if proposal else {c.name: estimates(case.model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit},
-        proposal=proposal,
-    )
+        "not_identifiable" if proposal else verdict, final, rounds, comparison, left, known_floor(comparison.gap, floor_unknown),
+        _named(rounds, named, parameters), () if proposal else _ties(rounds), undecided, base, parameters, unidentified,
+        {} if proposal else {c.name: estimates(case.model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit},
+        proposal,
+    )  # fmt: skip
 
 
 def _after_withdrawal(case: Case, outcome: SearchOutcome, proposal: str) -> tuple[FittedModel, tuple[SearchRound, ...], Comparison]:
@@ -199,11 +169,9 @@ def _named(
 ) -> tuple[answer.Named, ...]:
     """Return the effects that are named, with gain and p of the rounds that added them."""
     by_name = {r.best.name: r for r in rounds if r.best and r.named}
+    found = [(name, by_name[name].gain, by_name[name].null) for name in names]
     return tuple(
-        answer.Named(
-            name, group(name), _of_effect(name, parameters), by_name[name].gain, by_name[name].null.p(name, by_name[name].gain)
-        )
-        for name in names
+        answer.Named(name, group(name), _of_effect(name, parameters), gain, null.p(name, gain)) for name, gain, null in found
     )
 
 
@@ -221,32 +189,16 @@ def as_diagnosis(case: Case, c: Conclusion, started: float, more: Additions) -> 
     )
     lines = (f"{TIGHT_BOUNDS} Proposed: {c.proposal}.",) if c.proposal else statement(facts)
     found = [f for r in case.records for f in r.findings]
+    own = [*bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c)]
     return answer.Diagnosis(
-        verdict=c.verdict,
-        statement=(*more.statement, *lines),
-        effects=c.effects,
-        ties=c.ties,
-        experiment="" if c.proposal else experiment(facts),
-        where=c.comparison.views,
-        remains=remains,
-        gap=c.gap,
-        excitation=excitation(model, case.records),
-        findings=(
-            *more.findings_before, *found, *bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c),
-            *more.findings_after,
-        ),
-        base=c.base,
-        parameters=c.own_parameters,
-        rounds=tuple(_round(r) for r in c.rounds),
-        undetected={} if c.proposal else _undetected(case, c),
-        traces=_traces(dataset, case.base.fit, c.final.fit),
-        model=more.model or model,
-        proposals=(c.proposal,) if c.proposal else (),
-        seconds=time.perf_counter() - started,
+        verdict=c.verdict, statement=(*more.statement, *lines), effects=c.effects, ties=c.ties,
+        experiment="" if c.proposal else experiment(facts), where=c.comparison.views, remains=remains, gap=c.gap,
+        excitation=excitation(model, case.records), findings=(*more.findings_before, *found, *own, *more.findings_after),
+        base=c.base, parameters=c.own_parameters, rounds=tuple(_round(r) for r in c.rounds),
+        undetected={} if c.proposal else _undetected(case, c), traces=_traces(dataset, case.base.fit, c.final.fit),
+        model=more.model or model, proposals=(c.proposal,) if c.proposal else (), seconds=time.perf_counter() - started,
         choices={name: _of_effect(name, e) for name, e in c.choices.items()},
-        choice_parameters={
-            name: {k: v for k, v in e.items() if not k.startswith(f"{name}.")} for name, e in c.choices.items()
-        },
+        choice_parameters={name: {k: v for k, v in e.items() if not k.startswith(f"{name}.")} for name, e in c.choices.items()},
     )  # fmt: skip
 
 
@@ -287,11 +239,8 @@ def wider_bounds(case: Case, final: FittedModel) -> str:
         value, unit = wide.fit.values[name], case.model.unit(name)
         if not f.low <= value <= f.high:  # the others are at a bound only because of these
             lines.append(f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]")
-    if not lines:
-        return ""
-    return (
-        f"wider bounds, since the records fit {' and '.join(lines)}, without any effect better than with effects within the bounds"
-    )
+    better = "without any effect better than with effects within the bounds"
+    return f"wider bounds, since the records fit {' and '.join(lines)}, {better}" if lines else ""
 
 
 def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mapping[str, answer.Estimate]) -> list[str]:
@@ -313,10 +262,8 @@ def unidentified_parameters(plain: Mapping[str, answer.Estimate]) -> tuple[str, 
 
     The output then hardly follows the input, and that no effect is found means nothing.
     """
-    known = any(
-        e.ci95 is not None and not e.at_bound and e.ci95[1] - e.ci95[0] < 2 * KNOWN_HALF_WIDTH * abs(e.value)
-        for e in plain.values()
-    )
+    within = [(abs(e.value), e.ci95) for e in plain.values() if e.ci95 is not None and not e.at_bound]
+    known = any(high - low < 2 * KNOWN_HALF_WIDTH * size for size, (low, high) in within)
     return () if known else tuple(plain)
 
 
@@ -402,7 +349,8 @@ def _round(v: SearchRound) -> answer.Round:
     bars = []
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else math.nan
-        tested = () if c.assessment is None else _figures(c.assessment)
+        a = c.assessment
+        tested = () if a is None else (a.error_reduction, a.held_out_gain, *a.deficit)
         bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.reason, *tested))
     bars.sort(key=lambda bar: math.inf if math.isnan(bar.gain) else -bar.gain)
     best = v.best.name if v.best else None
@@ -411,8 +359,3 @@ def _round(v: SearchRound) -> answer.Round:
         tuple(bars), v.null.level(top), v.null.p(top, v.gain), best if v.named else None, v.decision, v.gain,
         v.assessment.error_reduction, v.finer_gain, best if v.outcome in ("rejected", "withdrawn") else None,
     )  # fmt: skip
-
-
-def _figures(assessment: Assessment) -> tuple[float, float, float, float]:
-    """Return size, kept, behind and doubt of a candidate in a report."""
-    return (assessment.error_reduction, assessment.held_out_gain, *assessment.deficit)

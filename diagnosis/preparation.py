@@ -25,7 +25,7 @@ from bristle.diagnosis.estimation.dataset import (
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_from_several_starts, has_diverged
 from bristle.diagnosis.estimation.likelihood import Point, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import white_noise
-from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, Servo, free_parameters, inactive_values
+from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, Servo, free_parameters
 from bristle.diagnosis.modelfile import NO_LIMIT, Model
 from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effects
@@ -128,7 +128,7 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
 
     A parameter at a value where it does nothing, such as an amplitude of 0 or a stop that is never reached, stays fixed.
     """
-    inactive = {key for key, value in inactive_values(effect).items() if given[key.removeprefix(f"{effect}.")] == value}
+    inactive = {key for key, value in effects()[effect].inactive_values.items() if given[key.removeprefix(f"{effect}.")] == value}
     for f in free_parameters(effect, {name: value for name, value in given.items() if f"{effect}.{name}" not in inactive}, {}):
         value = given[f.name.removeprefix(f"{effect}.")]
         nominal = math.log(value) if f.factor else value

@@ -57,7 +57,7 @@ def diagnose(
             said, dataset = check(model, records), dataset_of(model, records)
             if said.proposals:
                 gap = nominal_gap(dataset, *base_servo_of(model, dataset))
-                return not_searched(model, records, said, gap, time.perf_counter() - started)
+                return not_searched(model, records, gap, started, implausible(said))
             tell("base refit", 0.0)
             dataset, base, lines = prepare_model(model, records, dataset)
             outcome = search(dataset, base, reporting(options or SearchOptions(), tell))
@@ -93,19 +93,18 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
     must_show(model, records)
 
 
-def not_searched(
-    model: Model, records: Sequence[Record], said: Plausibility, gap: float, seconds: float, lines: Sequence[str] = ()
-) -> answer.Diagnosis:
-    """Return a diagnosis without a search, because data and model seem to describe different things.
-
-    `gap` is the mean squared error of the model as it is [output squared]; `lines` are findings to begin with.
-    """
+def implausible(said: Plausibility, lines: Sequence[str] = ()) -> Additions:
+    """Return what is reported where data and model seem to describe different things; `lines` are findings to begin with."""
     why = "No effect was looked for: data and model disagree in a way that is more likely a mistake in one of them. Proposed: "
     proposed = "; ".join(line.rstrip(".") for line in said.proposals)
-    end = "" if proposed.endswith("?") else "."
+    return Additions([f"{why}{proposed}{'' if proposed.endswith('?') else '.'}"], lines, said.findings, proposals=said.proposals)
+
+
+def not_searched(model: Model, records: Sequence[Record], gap: float, started: float, said: Additions) -> answer.Diagnosis:
+    """Return a diagnosis without a search; `gap` is the mean squared error of the model [output squared], `said` is why."""
     return answer.Diagnosis(
-        verdict="not_identifiable", statement=(f"{why}{proposed}{end}",), effects=(), ties=(), experiment="",
-        where=(), remains=NOTHING_LEFT, gap=answer.Gap(gap, gap, None, model.output_unit),
-        excitation=excitation(model, records), findings=(*lines, *(f for r in records for f in r.findings), *said.findings),
-        base={}, parameters={}, rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=seconds,
+        verdict="not_identifiable", statement=tuple(said.statement), effects=(), ties=(), experiment="", where=(),
+        remains=NOTHING_LEFT, gap=answer.Gap(gap, gap, None, model.output_unit), excitation=excitation(model, records),
+        findings=(*said.findings_before, *(f for r in records for f in r.findings), *said.findings_after), base={}, parameters={},
+        rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=time.perf_counter() - started,
     )  # fmt: skip

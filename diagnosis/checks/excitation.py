@@ -31,20 +31,9 @@ VELOCITY_CAVEAT = (
 
 
 def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
-    """Return what the records excite, as numbers and caveats.
+    """Return what the records excite: plain numbers, and ``{"value", "unit"}`` for what has a unit.
 
-    Parameters
-    ----------
-    model : Model
-        Says what input and output are.
-    records : sequence of Record
-        As `bristle.diagnosis.intake` gives them.
-
-    Returns
-    -------
-    dict
-        Plain numbers, and ``{"value", "unit"}`` for what has a unit; ``narrow`` says why effects cannot be distinguished
-        by their form, ``caveats`` what else they cannot show.
+    ``narrow`` says why effects cannot be distinguished by their form, ``caveats`` what else the records cannot show.
     """
     length = "m" if model.linear else "rad"
     positions, velocities = zip(*(_motion(model, r) for r in records), strict=True)

@@ -45,31 +45,16 @@ ROTARY_UNITS = ("deg", "rev", "rpm")  # no units of a linear axis
 class Plausibility:
     """What the regression shows of the data.
 
-    Attributes
-    ----------
-    proposals : tuple of str
-        Mistakes to be corrected before a search: one line each, empty for plausible data.
-    findings : tuple of str
-        What is unusual, but may be true.
-    fit : dict
-        ``value`` and ``se`` of J, a2 and Fc (SI), and ``explained``, the share of the torque that the regression explains.
+    `fit`: ``value`` and ``se`` of J, a2 and Fc (SI), and ``explained``, the share of the torque that the regression explains.
     """
 
-    proposals: tuple[str, ...]
-    findings: tuple[str, ...]
+    proposals: tuple[str, ...]  # mistakes to be corrected before a search: one line each, empty for plausible data
+    findings: tuple[str, ...]  # what is unusual, but may be true
     fit: dict[str, dict[str, float] | float] = field(default_factory=dict)
 
 
 def check(model: Model, records: Sequence[Record]) -> Plausibility:
-    """Compare what a regression on the records gives with the model's nominal values.
-
-    Parameters
-    ----------
-    model : Model
-        Nominal values, bounds, and what the columns are.
-    records : sequence of Record
-        As `bristle.diagnosis.intake` gives them.
-    """
+    """Compare what a regression on the records gives with the model's nominal values."""
     found = _regression(model, records)
     if found is None:
         return Plausibility((), ("too little motion to check signs and units",))

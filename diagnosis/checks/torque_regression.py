@@ -90,16 +90,8 @@ def regression_rows(
 ) -> Rows | None:
     """Return the rows of all records while they move, or None if there are too few.
 
-    Parameters
-    ----------
-    columns : sequence of (ndarray, ndarray), shapes (n,)
-        Torque and output of each record.
-    records : sequence of Record
-        Give sampling period and resolution.
-    velocity : bool
-        Whether the output is a velocity.
-    steps : bool
-        Whether the output has the records' resolution.
+    `columns` (n,): torque and output of each record. `records`: give sampling period and resolution. `velocity`: whether the
+    output is a velocity. `steps`: whether the output has the records' resolution.
     """
     torque, core, free, block = [], [], [], []
     motions = [_motion(y, r.h, (r.resolution or 0.0) * steps, velocity) for (_, y), r in zip(columns, records, strict=True)]

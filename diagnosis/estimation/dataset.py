@@ -152,35 +152,18 @@ def motion(segments: Segments, outputs: list[Array], resolution: float, half: fl
 class Dataset:
     """Everything that stays the same during a search.
 
-    Attributes
-    ----------
-    segments, motion : Segments, Motion
-        The records, and their smoothed motion.
-    resolution : float
-        Step of the sensor [unit of the output].
-    least_sd : float
-        Standard deviation of an average below which the sensor's noise cannot be [unit of the output].
-    poor_excitation : str
-        Why effects cannot be distinguished by their form in these records; empty if they can.
-    excluded : mapping
-        Why an effect is no candidate, by its name.
-    linear : bool
-        True if the axis does not turn.
-    turn : float
-        Path after which the motion repeats [rad or m]: one turn of a shaft.
-    input_may_change : bool
-        True if the input may change between samples.
+    `segments`, `motion`: the records, and their smoothed motion.
     """
 
     segments: Segments
     motion: Motion
-    resolution: float
-    least_sd: float
-    poor_excitation: str = ""
-    excluded: Mapping[str, str] = field(default_factory=dict)
-    linear: bool = False
-    turn: float = 2 * math.pi
-    input_may_change: bool = False
+    resolution: float  # step of the sensor [unit of the output]
+    least_sd: float  # standard deviation of an average below which the sensor's noise cannot be [unit of the output]
+    poor_excitation: str = ""  # why effects cannot be distinguished by their form in these records; empty if they can
+    excluded: Mapping[str, str] = field(default_factory=dict)  # why an effect is no candidate, by its name
+    linear: bool = False  # True if the axis does not turn
+    turn: float = 2 * math.pi  # path after which the motion repeats [rad or m]: one turn of a shaft
+    input_may_change: bool = False  # True if the input may change between samples
 
     @cached_property
     def train(self) -> Mask:

@@ -30,6 +30,9 @@ from bristle.plant.friction import law as find_law
 from bristle.plant.servo import servo
 
 Array = NDArray[np.float64]
+Names = tuple[str, ...]
+Parameters = tuple[Free, ...]
+Values = Mapping[str, float]
 BALANCE_ITERATIONS = 12  # steps of a fit
 BALANCE_SCREENING_ITERATIONS = 4  # steps of a fit that only compares start values
 BALANCE_NOISE_PASSES = 2  # alternations of noise and parameters
@@ -38,9 +41,7 @@ BALANCE_INPUTS = ("theta", "v", "u", "time")  # on which alone the acceleration 
 
 
 @lru_cache(maxsize=64)
-def _acceleration(
-    law: str, effects: tuple[str, ...], free: tuple[str, ...]
-) -> tuple[Callable[[Sequence[Array | float]], list[Array]], tuple[str, ...]]:
+def _acceleration(law: str, effects: Names, free: Names) -> tuple[Callable[[Sequence[Array | float]], list[Array]], Names]:
     """Return acceleration and derivatives by the free parameters as a function of motion and parameters, and their names."""
     members = [find_effect(name) for name in effects]
     system = servo(find_law(law), False, members)
@@ -74,17 +75,11 @@ class Balanced:
 class Balance:
     """The measured motion of the segments that count, as an average per bin.
 
-    Parameters
-    ----------
-    segments, motion : Segments, Motion
-        The records, and their smoothed motion.
-    counted : ndarray of bool, shape (segments,)
-        Which segments count.
-    fixed : mapping
-        Settings of the simulation, which are no parameters of a fit.
+    `segments`, `motion`: the records, and their smoothed motion. `counted` (segments,): which segments count. `fixed`: settings
+    of the simulation, which are no parameters of a fit.
     """
 
-    def __init__(self, segments: Segments, motion: Motion, counted: NDArray[np.bool_], fixed: Mapping[str, float]) -> None:
+    def __init__(self, segments: Segments, motion: Motion, counted: NDArray[np.bool_], fixed: Values) -> None:
         s, self._counted, self._fixed = segments, counted, fixed
         self.shape, self.step = (len(s.measured), s.bins), s.h * s.width
 
@@ -109,7 +104,7 @@ class Balance:
         other._whiten(noise)
         return other
 
-    def under_white_noise(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Balance:
+    def under_white_noise(self, law: str, effects: Names, values: Values) -> Balance:
         """Return the same under a white noise as large as the residual."""
         white = self.under(white_noise(len(self._start), 1.0))._project_averages(self.residual(law, effects, values))
         return self.under(white_noise(len(self._start), max(float(np.sqrt(np.mean(white[self._counted] ** 2))), 1e-12)))
@@ -132,9 +127,7 @@ class Balance:
         """Return 1 for segments that count (segments,), else 0."""
         return (self._counted & np.isfinite(residual).all(axis=1)).astype(float)
 
-    def _acceleration_along(
-        self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]
-    ) -> tuple[Array, Array]:
+    def _acceleration_along(self, law: str, effects: Names, free: Parameters, values: Values) -> tuple[Array, Array]:
         """Return accelerations (points,) along the motion and their slopes (points, free) on each parameter's scale."""
         function, names = _acceleration(law, effects, tuple(f.name for f in free))
         known = {**_defaults(law, effects), **self._fixed, **values}
@@ -144,26 +137,17 @@ class Balance:
         scale = [values[f.name] if f.factor else 1.0 for f in free]
         return a, np.column_stack(by) * scale if free else np.empty((len(a), 0))
 
-    def evaluate(
-        self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: Mapping[str, float]
-    ) -> tuple[Array, Array]:
+    def evaluate(self, law: str, effects: Names, free: Parameters, values: Values) -> tuple[Array, Array]:
         """Return whitened residuals (segments, bins) and the slopes (segments, bins, free) of the model's averages."""
         a, by = self._acceleration_along(law, effects, free, values)
         return self._white - self.respond(a[:, None])[:, :, 0], self.respond(by)
 
-    def residual(self, law: str, effects: tuple[str, ...], values: Mapping[str, float]) -> Array:
+    def residual(self, law: str, effects: Names, values: Values) -> Array:
         """Return the residual of the averages (segments, bins) [unit of the output], initial states not projected out."""
         a, _ = self._acceleration_along(law, effects, (), values)
         return np.asarray(self._measured - (a.reshape(self.shape) * self._moving) @ self._pulses.T)
 
-    def fit(
-        self,
-        law: str,
-        effects: tuple[str, ...],
-        free: tuple[Free, ...],
-        values: Mapping[str, float],
-        steps: int = BALANCE_ITERATIONS,
-    ) -> Balanced:
+    def fit(self, law: str, effects: Names, free: Parameters, values: Values, steps: int = BALANCE_ITERATIONS) -> Balanced:
         """Return the parameters in their intervals that balance the torques best, from start values.
 
         Levenberg-Marquardt; misfits have a t distribution, as those of a simulation.
@@ -192,7 +176,7 @@ class Balance:
                 break
         return best[0]
 
-    def _at(self, law: str, effects: tuple[str, ...], free: tuple[Free, ...], values: dict[str, float]) -> tuple[Balanced, Array]:
+    def _at(self, law: str, effects: Names, free: Parameters, values: dict[str, float]) -> tuple[Balanced, Array]:
         residual, slopes = self.evaluate(law, effects, free, values)
         finite = np.asarray(np.isfinite(residual).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2)))
         residual, slopes = np.where(finite[:, None], residual, 1e3), np.where(finite[:, None, None], slopes, 0.0)
@@ -220,30 +204,13 @@ class Balance:
 class BalancedModel:
     """The model fitted to the balance of torques along the measured motion, under white and under coloured noise.
 
-    Parameters
-    ----------
-    balance : Balance
-        The measured motion.
-    servo : Servo
-        Law and effects, with their free parameters.
-    values : mapping
-        Start values of these.
-    estimate : function
-        Returns the noise of a residual (segments, bins), given the weights of segments and the values of parameters.
+    `balance`: the measured motion. `servo`: law and effects, with their free parameters. `values`: start values of these.
+    `estimate`: returns the noise of a residual (segments, bins), given the weights of segments and the values of parameters.
 
-    Attributes
-    ----------
-    fits : list of (Balance, Balanced)
-        Empty where the model has hidden states, so that a balance does not determine the acceleration.
+    `fits`: empty where the model has hidden states, so that a balance does not determine the acceleration.
     """
 
-    def __init__(
-        self,
-        balance: Balance,
-        servo: Servo,
-        values: Mapping[str, float],
-        estimate: Callable[[Array, Array, Mapping[str, float]], Noise],
-    ) -> None:
+    def __init__(self, balance: Balance, servo: Servo, values: Values, estimate: Callable[[Array, Array, Values], Noise]) -> None:
         self.servo, self._estimate = servo, estimate
         self.free = tuple(f for f in servo.free if not f.name.startswith(f"{OWN_BRISTLES}."))
         given = {name: value for name, value in values.items() if not name.startswith(f"{OWN_BRISTLES}.")}
@@ -256,9 +223,7 @@ class BalancedModel:
         except NotStaticError:
             pass
 
-    def refit_with_noise(
-        self, balance: Balance, effects: tuple[str, ...], free: tuple[Free, ...], found: Balanced
-    ) -> tuple[Balance, Balanced]:
+    def refit_with_noise(self, balance: Balance, effects: Names, free: Parameters, found: Balanced) -> tuple[Balance, Balanced]:
         """Return a fit under the noise of its own residual."""
         for _ in range(BALANCE_NOISE_PASSES):
             residual = balance.residual(self.servo.law, effects, found.values)
@@ -273,6 +238,6 @@ class BalancedModel:
 
 
 @lru_cache(maxsize=64)
-def _defaults(law: str, effects: tuple[str, ...]) -> dict[str, float]:
+def _defaults(law: str, effects: Names) -> dict[str, float]:
     system = servo(find_law(law), False, [find_effect(name) for name in effects])
     return {name: p.default for name, p in system.parameters.items()}

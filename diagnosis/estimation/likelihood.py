@@ -27,21 +27,12 @@ STATE_SEPARATION = 1e-12  # relative increase of the curvature by each initial s
 class Elimination:
     """Least squares of the initial states of the segments alone, by which they are eliminated from the likelihood.
 
-    Attributes
-    ----------
-    by_initial : ndarray, shape (segments, bins, width)
-        Derivatives of the whitened averages.
-    gradient : ndarray, shape (segments, width)
-        Gradient of the log-likelihood, prior knowledge of the initial states included.
-    inverse : ndarray, shape (segments, width, width)
-        Inverse of their curvature.
-
     Source: golub2003 (elimination of linear unknowns).
     """
 
-    by_initial: Array
-    gradient: Array
-    inverse: Array
+    by_initial: Array  # (segments, bins, width): derivatives of the whitened averages
+    gradient: Array  # (segments, width): gradient of the log-likelihood, prior knowledge of the initial states included
+    inverse: Array  # (segments, width, width): inverse of their curvature
 
     @classmethod
     def of(cls, by_initial: Array, white: Array, precision: Array, offset: Array) -> Elimination:
@@ -89,63 +80,35 @@ class Point:
 class Linearised:
     """Residual of a simulation and its derivatives.
 
-    Attributes
-    ----------
-    residual : ndarray, shape (segments, bins)
-        Measured less simulated averages.
-    by_parameter, by_initial : ndarray, shape (segments, bins, free or width)
-        Derivatives of the whitened averages.
-    output_by_initial : ndarray, shape (segments, bins, width)
-        Derivatives of the averages by the initial states.
-    good : ndarray of bool, shape (segments,)
-        False where the simulation failed.
+    `by_parameter`, `by_initial` (segments, bins, free or width): derivatives of the whitened averages.
     """
 
-    residual: Array
+    residual: Array  # (segments, bins): measured less simulated averages
     by_parameter: Array
     by_initial: Array
-    output_by_initial: Array
-    good: Mask
+    output_by_initial: Array  # (segments, bins, width): derivatives of the averages by the initial states
+    good: Mask  # (segments,): False where the simulation failed
 
 
 @dataclass(frozen=True)
 class Fit(Point):
     """A point with its likelihood and what a step from it needs.
 
-    Attributes
-    ----------
-    score : ndarray, shape (segments,)
-        Log-likelihood of each segment [nats], initial states eliminated; 0 for segments that do not count.
-    score_at_initial : ndarray, shape (segments,)
-        The same with the initial states as they are, for all segments.
-    residual, output_by_initial, by_parameter, good
-        As of `Linearised`.
-    white : ndarray, shape (segments, bins)
-        Whitened residual.
-    elimination : Elimination
-        Of the initial states.
-    weight : ndarray, shape (segments,)
-        Weight of each segment in the least squares; 0 where it does not count.
-    information : ndarray, shape (free, free)
-        Curvature of the log-likelihood, on the scale of each parameter's steps.
-    noise : Noise
-        The noise of this likelihood.
-    prior : float
-        Log-likelihood of the parameters by prior knowledge [nats].
+    `residual`, `output_by_initial`, `by_parameter`, `good`: as of `Linearised`.
     """
 
-    score: Array
-    score_at_initial: Array
+    score: Array  # (segments,): log-likelihood of each segment [nats], initial states eliminated; 0 for segments that do not count
+    score_at_initial: Array  # (segments,): the same with the initial states as they are, for all segments
     residual: Array
-    white: Array
+    white: Array  # (segments, bins): whitened residual
     by_parameter: Array
-    elimination: Elimination
+    elimination: Elimination  # of the initial states
     output_by_initial: Array
-    weight: Array
-    information: Array
+    weight: Array  # (segments,): weight of each segment in the least squares; 0 where it does not count
+    information: Array  # (free, free): curvature of the log-likelihood, on the scale of each parameter's steps
     good: Mask
-    noise: Noise
-    prior: float = 0.0
+    noise: Noise  # the noise of this likelihood
+    prior: float = 0.0  # log-likelihood of the parameters by prior knowledge [nats]
 
     @property
     def total(self) -> float:

@@ -34,23 +34,14 @@ def response(inertia: float, damping: float, h: float, width: int, bins: int, ve
 class Noise:
     """Gaussian noise of a segment's averages.
 
-    Attributes
-    ----------
-    whiten : ndarray, shape (bins, bins)
-        Multiplies averages from the left, so that their covariance becomes 1.
-    log_det : float
-        Logarithm of the determinant of the covariance.
-    torque, corner : float
-        Standard deviation [N.m] and corner frequency [Hz] of the disturbance.
-    sensor : float
-        Standard deviation of the independent error of an average [unit of the output].
+    `torque`, `corner`: standard deviation [N.m] and corner frequency [Hz] of the disturbance.
     """
 
-    whiten: Array
-    log_det: float
+    whiten: Array  # (bins, bins): multiplies averages from the left, so that their covariance becomes 1
+    log_det: float  # logarithm of the determinant of the covariance
     torque: float
     corner: float
-    sensor: float
+    sensor: float  # standard deviation of the independent error of an average [unit of the output]
 
 
 def white_noise(bins: int, level: float) -> Noise:

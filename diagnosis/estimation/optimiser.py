@@ -16,7 +16,7 @@ from bristle.diagnosis.estimation.initial_states import (
     stepped_states,
 )
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, moved, rescored
-from bristle.diagnosis.estimation.simulator import Free, has_free_play
+from bristle.diagnosis.estimation.simulator import Free
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ def refit_rescored(fit: Fit, noise_problem: NoiseProblem, iterations: int) -> Fi
 def nonsmooth_parameters(fit: Fit, effects: Collection[str]) -> list[Free]:
     """Return the free parameters of effects that switch, contacts among them."""
     own = [(f, f.name.split(".")[0]) for f in fit.free]
-    return [f for f, name in own if name in effects and (find_effect(name).nonsmooth or has_free_play(name))]
+    return [f for f, name in own if name in effects and (find_effect(name).nonsmooth or find_effect(name).free_play)]
 
 
 def refit_load(fit: Fit, noise_problem: NoiseProblem) -> Fit:
@@ -154,7 +154,7 @@ def refit_nonsmooth(fit: Fit, noise_problem: NoiseProblem, effects: Sequence[str
     along derivatives end.
     """
     fit = refit_load(fit, noise_problem)
-    own = [f for f in nonsmooth_parameters(fit, effects) if not has_free_play(f.name.split(".")[0])]
+    own = [f for f in nonsmooth_parameters(fit, effects) if not find_effect(f.name.split(".")[0]).free_play]
     if not own:
         return fit
     rng = np.random.default_rng(1)

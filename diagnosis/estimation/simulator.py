@@ -59,18 +59,8 @@ def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[st
 class Simulator:
     """A servo with effects, simulated over segments with exact derivatives.
 
-    Parameters
-    ----------
-    law : str
-        Friction law.
-    effects : sequence of str
-        Names of effects.
-    segments : Segments
-        Records to simulate.
-    base : sequence of str
-        Parameters of the servo and its law with derivatives; those of the effects always have them.
-    fixed : mapping
-        Values of other parameters, such as the internal step.
+    `law`: friction law. `effects`: names of effects. `segments`: records to simulate. `base`: parameters of the servo and its law
+    with derivatives; those of the effects always have them. `fixed`: values of other parameters, such as the internal step.
     """
 
     def __init__(
@@ -134,21 +124,14 @@ class Simulator:
         return float(values.get(name, self._v[self._native.program.index[name]]))
 
     def run(self, values: Mapping[str, float], initial: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask, Array]:
-        """Simulate all segments from initial states (segments, width): position, velocity and, of a load with free play, how
-        far (over half the play) and how much slower it lags.
+        """Simulate all segments from initial states (segments, width): position, velocity and, of a load with free play, how far
+        (over half the play) and how much slower it lags.
 
         Where the latter are left out or NaN, the load continues from the end of the previous segment.
 
-        Returns
-        -------
-        simulated : ndarray, shape (segments, bins)
-            Averages of the output.
-        derivatives : ndarray, shape (segments, bins, len(names) + width), or None
-            By the parameters and by the initial states.
-        good : ndarray of bool, shape (segments,)
-            False where the simulation failed; other values there are undefined.
-        initial : ndarray, shape (segments, width)
-            The initial states that were simulated.
+        Returns `simulated` (segments, bins): averages of the output. `derivatives` (segments, bins, len(names) + width): by the
+        parameters and by the initial states. `good` (segments,): False where the simulation failed; other values there are
+        undefined. `initial` (segments, width): the initial states that were simulated.
         """
         pieces = self.segments.pieces
         given = np.full((len(initial), self.width), np.nan)
@@ -255,30 +238,17 @@ class Free:
 class Servo:
     """The model to which candidates are added.
 
-    Attributes
-    ----------
-    law, effects : str, tuple of str
-        Friction law and effects.
-    base : tuple of str
-        Parameters of the servo and its law with derivatives.
-    free : tuple of Free
-        Free parameters.
-    fixed : mapping
-        Settings of the simulation.
-    rigid : bool
-        True if dry friction has bristles that deflect by less than the sensor's step. Models of rigid friction do not agree
-        more closely than that; without bristles each effect would be fitted to the difference.
-    limits : mapping
-        Intervals of effects' parameters on this axis, where they are narrower than in general.
-    credible : mapping
-        Intervals outside which an effect needs stronger evidence.
+    `law`, `effects`: friction law and effects. `rigid`: True if dry friction has bristles that deflect by less than the sensor's
+    step. Models of rigid friction do not agree more closely than that; without bristles each effect would be fitted to the
+    difference. `limits`: intervals of effects' parameters on this axis, where they are narrower than in general. `credible`:
+    intervals outside which an effect needs stronger evidence.
     """
 
     law: str
     effects: tuple[str, ...]
-    base: tuple[str, ...]
-    free: tuple[Free, ...]
-    fixed: Mapping[str, float]
+    base: tuple[str, ...]  # parameters of the servo and its law with derivatives
+    free: tuple[Free, ...]  # free parameters
+    fixed: Mapping[str, float]  # settings of the simulation
     rigid: bool
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     credible: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -298,16 +268,6 @@ class Servo:
         if name not in BRISTLE_EFFECTS or not self.rigid:
             return False
         return values[f"{name}.stiffness"] >= next(f.nominal_value for f in self.free if f.name == f"{OWN_BRISTLES}.stiffness")
-
-
-def has_free_play(name: str) -> bool:
-    """True for a coupling whose load has free play: small differences change when its contacts occur."""
-    return bool(find_effect(name).free_play)
-
-
-def inactive_values(name: str) -> dict[str, float]:
-    """Return values at which optional parameters of an effect do nothing."""
-    return find_effect(name).inactive_values
 
 
 def free_parameters(name: str, start: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> tuple[Free, ...]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
 from bristle.diagnosis.estimation.optimiser import NONSMOOTH_SPREADS, nonsmooth_parameters, perturbed, perturbed_values
-from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free, has_free_play
+from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -55,7 +55,7 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
     """
     k = len(own)
     pairs = [(i, j) for i in range(k) for j in range(i, k)]
-    wide = np.array([CONTACT_SPREAD if has_free_play(f.name.split(".")[0]) else NONSMOOTH_SPREADS[0] for f in own])
+    wide = np.array([CONTACT_SPREAD if find_effect(f.name.split(".")[0]).free_play else NONSMOOTH_SPREADS[0] for f in own])
     steps = wide * np.random.default_rng(3).standard_normal((PARABOLA_TRIALS * (1 + k + len(pairs)), k))
     totals = [evaluate(problem, fit.fixed().at(perturbed_values(fit.values, own, step))).total for step in steps]
     columns = np.column_stack([np.ones(len(steps)), steps, *(steps[:, i] * steps[:, j] for i, j in pairs)])

@@ -24,18 +24,12 @@ FMU_FIT_ROUNDS = 4  # fits of the servo to the FMU, each with the noise level of
 class EquivalentServo:
     """A servo fitted to an FMU.
 
-    Attributes
-    ----------
-    dataset : Dataset
-        The records, less the difference between FMU and servo.
-    values : dict
-        Parameters of the servo, SI.
-    error, gap : float
-        rms of the servo less the FMU, and of the measured less the FMU, initial states at their best [unit of the output].
+    `error`, `gap`: rms of the servo less the FMU, and of the measured less the FMU, initial states at their best [unit of the
+    output].
     """
 
-    dataset: Dataset
-    values: Mapping[str, float]
+    dataset: Dataset  # the records, less the difference between FMU and servo
+    values: Mapping[str, float]  # parameters of the servo, SI
     error: float
     gap: float
 

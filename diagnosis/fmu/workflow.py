@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from bristle.common.errors import BristleError
-from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import check
-from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
+from bristle.diagnosis.conclusion import Additions, Case, Conclusion, as_diagnosis, conclude
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
 from bristle.diagnosis.estimation.likelihood import mean_square
 from bristle.diagnosis.fmu.equivalent_servo import EquivalentServo, fit_equivalent_servo, search_bounds, widened_bounds
@@ -30,7 +29,7 @@ from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
 from bristle.diagnosis.selection.stepwise import search
-from bristle.diagnosis.workflow import check_arguments, not_searched, reporting, teller
+from bristle.diagnosis.workflow import check_arguments, implausible, not_searched, reporting, teller
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT
 from bristle.records.record import Record
@@ -78,7 +77,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
             if said.proposals:
                 gap = replace(dataset, segments=segments)
                 nominal = nominal_gap(gap, *base_servo_of(model, gap))
-                return not_searched(model, records, said, nominal, time.perf_counter() - started, lines)
+                return not_searched(model, records, nominal, started, implausible(said, lines))
             tell("fitting a servo to the FMU", 0.05)
             twin = fit_equivalent_servo(model, dataset, replace(dataset, segments=segments))
             lines.append(_closeness(fmu, model, twin))
@@ -88,7 +87,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
             left = mean_square(base.fit, twin.dataset.held_out)
             kept = replace(like, bounds=widened_bounds(model, like.parameters))
             if twin.error > max(FMU_ERROR_RATIO * math.sqrt(left), base.problem.noise.sensor):
-                return _refused(kept, twin, records, left, lines, time.perf_counter() - started)
+                return not_searched(kept, records, left, started, Additions([_why_refused(kept, twin, left)], lines))
             outcome = search(twin.dataset, base, reporting(SearchOptions(), tell))
             if outcome.input_share is None:
                 break
@@ -113,7 +112,7 @@ def _checked(fmu: Fmu, model: Model) -> Fmu:
     return fmu
 
 
-# -- texts ------- ------------------------------------------------------------------------------------------------
+# -- texts ---------------------------------------------------------------------------------------------------------------
 def _units(fmu: Fmu, model: Model) -> list[str]:
     """Return a line if the FMU declares another unit for its input than the records have, and was given their numbers.
 
@@ -148,12 +147,9 @@ def _wrong(fmu: Fmu, found: Conclusion, twin: EquivalentServo) -> list[str]:
     lines = []
     for name, e in found.own_parameters.items():
         value = twin.values.get(name)
-        if (
-            value is None
-            or e.ci95 is None
-            or e.ci95[0] <= value <= e.ci95[1]
-            or abs(value - e.value) <= FMU_PARAMETER_ERROR * abs(e.value)
-        ):
+        if value is None or e.ci95 is None or e.ci95[0] <= value <= e.ci95[1]:
+            continue
+        if abs(value - e.value) <= FMU_PARAMETER_ERROR * abs(e.value):
             continue
         unit = "" if e.unit == "1" else f" {e.unit}"
         by = _excess(value / e.value) if e.value and value / e.value > 0 else "wrong"
@@ -168,22 +164,11 @@ def _excess(ratio: float) -> str:
     return f"{size:.1f} times too {way}" if size >= 2 else f"{abs(ratio - 1):.0%} too {way}"
 
 
-def _refused(
-    like: Model, twin: EquivalentServo, records: Sequence[Record], left: float, lines: list[str], seconds: float
-) -> answer.Diagnosis:
-    """Return a diagnosis that names nothing, because the servo that the search would run on is not the FMU.
-
-    `left` is the mean square [output squared] that is left between the servo and the records when it is refitted.
-    """
-    why = (
+def _why_refused(like: Model, twin: EquivalentServo, left: float) -> str:
+    """Return why the servo cannot replace the FMU; `left` is its mean square when refitted to the records [output squared]."""
+    return (
         f"The search runs on a servo that is fitted to the FMU, and with {like.friction} friction none comes near: it stays "
         f"{twin.error:.3g} {like.output_unit} rms from the FMU, and {math.sqrt(left):.3g} {like.output_unit} from the records when "
         "refitted to them. What the FMU lacks cannot be seen behind that. "
         "Give a MODEL.toml with the FMU's own friction law, effects and parameters."
     )
-    return answer.Diagnosis(
-        verdict="not_identifiable", statement=(why,), effects=(), ties=(), experiment="", where=(),
-        remains=NOTHING_LEFT, gap=answer.Gap(left, left, None, like.output_unit),
-        excitation=excitation(like, records), findings=(*lines, *(f for r in records for f in r.findings)), base={},
-        parameters={}, rounds=(), undetected={}, traces=(), model=like, seconds=seconds,
-    )  # fmt: skip

@@ -12,7 +12,7 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise
-from bristle.diagnosis.estimation.simulator import Simulator, free_parameters, has_free_play, inactive_values
+from bristle.diagnosis.estimation.simulator import Simulator, free_parameters
 from bristle.diagnosis.localisation.residual_response import directions
 from bristle.diagnosis.selection.null_distribution import Null, largest_gain
 from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts
@@ -32,21 +32,11 @@ FOLLOWED_SHARE = 0.1  # of the best predicted gain: least of one that is refitte
 
 @dataclass(frozen=True)
 class Effort:
-    """How far candidates are refitted before the best are chosen.
+    """How far candidates are refitted before the best are chosen."""
 
-    Attributes
-    ----------
-    starts : int
-        Start values that are refitted.
-    steps : int
-        Steps of such a refit.
-    exhaustive : bool
-        Refit all of these start values, also where no gain is predicted.
-    """
-
-    starts: int
-    steps: int
-    exhaustive: bool
+    starts: int  # start values that are refitted
+    steps: int  # steps of such a refit
+    exhaustive: bool  # refit all of these start values, also where no gain is predicted
 
 
 QUICK = Effort(2, 2, False)
@@ -57,50 +47,27 @@ EXHAUSTIVE = Effort(14, 25, True)
 class Assessment:
     """What a candidate above the null's level is worth.
 
-    Attributes
-    ----------
-    error_reduction : float
-        Factor by which the mean squared error falls.
-    held_out_gain : float
-        Gain on held-out segments, clipped in each [nats].
-    large_enough, confirmed : bool
-        Whether the first and the second suffice.
-    deficit : (float, float)
-        By how much the best candidate is likelier, and the standard error of that [nats].
+    `large_enough`, `confirmed`: whether the first and the second suffice.
     """
 
-    error_reduction: float = 1.0
-    held_out_gain: float = 0.0
+    error_reduction: float = 1.0  # factor by which the mean squared error falls
+    held_out_gain: float = 0.0  # gain on held-out segments, clipped in each [nats]
     large_enough: bool = False
     confirmed: bool = False
-    deficit: tuple[float, float] = (0.0, 0.0)
+    deficit: tuple[float, float] = (0.0, 0.0)  # by how much the best candidate is likelier, and the standard error of that [nats]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect fitted to the records together with the model.
-
-    Attributes
-    ----------
-    fit : Fit, optional
-        None if the effect could not be tried; `reason` says why.
-    directions : tuple of ndarray, shape (segments, bins, k)
-        Directions of the residual that each start value can explain.
-    predicted : float
-        Log-likelihood that the next step predicts [nats].
-    other_starts : tuple of Fit
-        Further start values.
-    assessment : Assessment, optional
-        Of a candidate that was compared with others above the null's level.
-    """
+    """An effect fitted to the records together with the model."""
 
     name: str
-    fit: Fit | None
-    directions: tuple[Array, ...] = ()
-    predicted: float = -np.inf
-    other_starts: tuple[Fit, ...] = ()
+    fit: Fit | None  # None if the effect could not be tried; `reason` says why
+    directions: tuple[Array, ...] = ()  # (segments, bins, k): directions of the residual that each start value can explain
+    predicted: float = -np.inf  # log-likelihood that the next step predicts [nats]
+    other_starts: tuple[Fit, ...] = ()  # further start values
     reason: str = ""
-    assessment: Assessment | None = None
+    assessment: Assessment | None = None  # of a candidate that was compared with others above the null's level
 
     @property
     def size(self) -> int:
@@ -140,9 +107,9 @@ def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort)
         tried.append(_screened(context, name, effort))
     if not any(c.fit for c in tried):
         return tried, Null(np.zeros(1), {})
-    if effort is QUICK and has_free_play(max(tried, key=lambda c: c.predicted).name):
+    if effort is QUICK and find_effect(max(tried, key=lambda c: c.predicted).name).free_play:
         # a shaft that hardens resembles free play, but needs more steps to be found
-        stiff = {c.name for c in tried if c.fit and find_effect(c.name).coupling and not has_free_play(c.name)}
+        stiff = {c.name for c in tried if c.fit and find_effect(c.name).coupling and not find_effect(c.name).free_play}
         tried = [_screened(context, c.name, EXHAUSTIVE) if c.name in stiff else c for c in tried]
     null = _null(context, tried)
     chosen = _most_promising(context, tried, null)
@@ -212,7 +179,7 @@ def _fit_at(context: SearchContext, simulator: Simulator, name: str, start: Star
     problem, fit, servo = context.fitted.problem, context.fit, context.fitted.servo
     values, states = place
     free = (*servo.free_beside(name), *free_parameters(name, start, servo.limits))
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(name).inactive_values
     whole = {**defaults, **fit.values, **values}
     inside = {f.name: f.clip(whole[f.name]) for f in free}
     steps = REFINEMENT_STEPS if fit.simulator.play else 0
@@ -231,7 +198,7 @@ def _explained(context: SearchContext, fit: Fit, count: int) -> Array:
 def _with_load_initialised(context: SearchContext, name: str, trials: list[Trial]) -> list[Trial]:
     """Return the trials of a contact once more with its load placed where each segment is likeliest; others as they are."""
     least = context.fit.total - CONTACT_DEFICIT
-    if not (has_free_play(name) and trials[0][0] > least):
+    if not (find_effect(name).free_play and trials[0][0] > least):
         return trials
     problem = context.fitted.problem
     near = [fit for predicted, fit in trials[:LOAD_STARTS_TRIED] if predicted > least]
@@ -246,7 +213,7 @@ def advance_candidate(context: SearchContext, candidate: Candidate, effort: Effo
     An effect without influence at its start values is not moved, unless it switches.
     """
     assert candidate.fit is not None
-    contact, gain = has_free_play(candidate.name), candidate.predicted - context.fit.total
+    contact, gain = find_effect(candidate.name).free_play, candidate.predicted - context.fit.total
     inert = INERT_GAIN[0] < gain < INERT_GAIN[1] and not contact and not find_effect(candidate.name).nonsmooth
     if (inert and not effort.exhaustive) or (contact and gain < -CONTACT_DEFICIT):
         return replace(candidate, other_starts=())

@@ -46,37 +46,17 @@ CEDED_SHARE = 0.1  # of its gain: most that a sparse effect may lose on held-out
 
 @dataclass(frozen=True)
 class SearchRound:
-    """One round of the search.
-
-    Attributes
-    ----------
-    null : Null
-        Of the largest gain of its candidates.
-    base : float
-        Log-likelihood without any of them, under the noise of the best one [nats].
-    best : Candidate, optional
-        None if no candidate is above the null's level.
-    gain : float
-        Of the best one [nats].
-    ties : tuple of str
-        Other candidates that the records do not distinguish from it.
-    decision : str
-        What was decided and why, for the report; empty until it is.
-    outcome : str
-        The same as a word: of a candidate that was `withdrawn`, the effect was added and then given up.
-    finer_gain : float, optional
-        Gain with finer steps of the simulation [nats].
-    """
+    """One round of the search."""
 
     candidates: tuple[Candidate, ...]
-    null: Null
-    base: float
-    best: Candidate | None = None
-    gain: float = 0.0
-    ties: tuple[str, ...] = ()
-    decision: str = ""
-    outcome: Outcome = "none"
-    finer_gain: float | None = None
+    null: Null  # of the largest gain of its candidates
+    base: float  # log-likelihood without any of them, under the noise of the best one [nats]
+    best: Candidate | None = None  # None if no candidate is above the null's level
+    gain: float = 0.0  # of the best one [nats]
+    ties: tuple[str, ...] = ()  # other candidates that the records do not distinguish from it
+    decision: str = ""  # what was decided and why, for the report; empty until it is
+    outcome: Outcome = "none"  # the same as a word: of a candidate that was `withdrawn`, the effect was added and then given up
+    finer_gain: float | None = None  # gain with finer steps of the simulation [nats]
 
     @property
     def named(self) -> bool:
@@ -171,20 +151,13 @@ def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
 class _Comparison:
     """What candidates are compared with.
 
-    Attributes
-    ----------
-    plain, held_out : Fit
-        Of the model without them, on the training and on the held-out segments.
-    problem : Problem
-        Of the held-out segments.
-    squares : ndarray, shape (training segments,)
-        Mean squared errors of the model without them.
+    `plain`, `held_out`: of the model without them, on the training and on the held-out segments.
     """
 
     plain: Fit
     held_out: Fit
-    problem: Problem
-    squares: Array
+    problem: Problem  # of the held-out segments
+    squares: Array  # (training segments,): mean squared errors of the model without them
     train: NDArray[np.bool_]
 
     @classmethod

@@ -19,25 +19,14 @@ LARGEST_LIMIT = 1e5  # SI unit of the parameter: a limit beyond this says that t
 class Undetected:
     """What a search says of an effect that it did not add.
 
-    Attributes
-    ----------
-    reason : str
-        Why it could not be tried, or an empty text.
-    gain : float, optional
-        Gain of its log-likelihood [nats], if it is above the level that chance reaches.
-    measurable : bool
-        False if no parameter says how large it is: it does not vanish in proportion to its first one.
-    confounded : tuple of str
-        Parameters from which these records cannot distinguish its size.
-    limit : float, optional
-        Value of its first parameter [SI] that would have been detected; None where the records do not limit it.
+    `limit`: value of its first parameter [SI] that would have been detected; None where the records do not limit it.
     """
 
     name: str
-    reason: str = ""
-    gain: float | None = None
-    measurable: bool = True
-    confounded: tuple[str, ...] = ()
+    reason: str = ""  # why it could not be tried, or an empty text
+    gain: float | None = None  # gain of its log-likelihood [nats], if it is above the level that chance reaches
+    measurable: bool = True  # False if no parameter says how large it is: it does not vanish in proportion to its first one
+    confounded: tuple[str, ...] = ()  # parameters from which these records cannot distinguish its size
     limit: float | None = None
 
 

@@ -21,20 +21,13 @@ FALSE_ALARM_RATE = 0.002  # share of searches in which chance alone brings some 
 class Null:
     """Distribution of the largest gain of all candidates [nats] where no effect is missing.
 
-    Attributes
-    ----------
-    draws : ndarray, shape (replicates,)
-        Largest excess of any candidate over its typical gain by chance. A candidate with many parameters or a searched
-        frequency gains more by chance; without this it would mask the others.
-    typical : mapping of name to float
-        `TYPICAL_QUANTILE` of each candidate's gain by chance [nats].
-    false_alarm_rate : float
-        Share of searches in which chance alone brings some candidate above its level.
+    `draws` (replicates,): largest excess of any candidate over its typical gain by chance. A candidate with many parameters or a
+    searched frequency gains more by chance; without this it would mask the others.
     """
 
     draws: Array
-    typical: Mapping[str, float]
-    false_alarm_rate: float = FALSE_ALARM_RATE
+    typical: Mapping[str, float]  # `TYPICAL_QUANTILE` of each candidate's gain by chance [nats]
+    false_alarm_rate: float = FALSE_ALARM_RATE  # share of searches in which chance alone brings some candidate above its level
 
     def level(self, name: str) -> float:
         """Return the gain [nats] above which a candidate is accepted."""
@@ -50,19 +43,13 @@ def largest_gain(
 ) -> Null:
     """Return the null distribution of the largest score gain.
 
-    Parameters
-    ----------
-    directions : mapping of name to a sequence of ndarray, shape (segments, bins, k)
-        Directions of the residual that each start value of a candidate can explain, orthonormal, free of the model's own
-        parameters.
-    residual : ndarray, shape (segments, bins)
-        Whitened residual of the best model at hand, so that a missing effect does not count as noise.
-    weight : ndarray, shape (segments,)
-        Weight of each segment; 0 where it is not judged.
+    `directions` (segments, bins, k): directions of the residual that each start value of a candidate can explain, orthonormal,
+    free of the model's own parameters. `residual` (segments, bins): whitened residual of the best model at hand, so that a
+    missing effect does not count as noise. `weight` (segments,): weight of each segment; 0 where it is not judged.
 
-    The score of each segment gets a random sign, the same for all candidates: a wild bootstrap that keeps each
-    segment's own spread and colour. Scores are clipped at some standard deviations of their own; otherwise a direction
-    with only one segment would find its own observation again in every replicate.
+    The score of each segment gets a random sign, the same for all candidates: a wild bootstrap that keeps each segment's own
+    spread and colour. Scores are clipped at some standard deviations of their own; otherwise a direction with only one segment
+    would find its own observation again in every replicate.
 
     Source: liu1988, kline2012 (score form), huber1981 (bounded influence).
     """

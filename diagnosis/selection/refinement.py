@@ -9,7 +9,7 @@ from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import NOISE_FIT_ITERATIONS, FittedModel, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, rescored, squares
 from bristle.diagnosis.estimation.optimiser import predicted_gain, refit, refit_nonsmooth, resume
-from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, free_parameters, inactive_values
+from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, free_parameters
 from bristle.diagnosis.localisation.views import is_form, periods_of
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import DOUBTLESS_LEVELS, LEAST_FALL
@@ -90,14 +90,14 @@ def _usual_shape(context: SearchContext, problem: Problem, before: Fit, fit: Fit
     """
     if not find_effect(name).coupling:
         return before
-    other = evaluate(problem, context.fit.at({**fit.values, **inactive_values(name)}, fit.initial))
+    other = evaluate(problem, context.fit.at({**fit.values, **find_effect(name).inactive_values}, fit.initial))
     other = refit_nonsmooth(resume(problem, other, NOISE_FIT_ITERATIONS), lambda _: problem, context.fitted.servo.effects)
     return max(before, other, key=lambda each: each.total)
 
 
 def shape_is_distinct(name: str, values: Mapping[str, float]) -> bool:
     """False where the shape of a coupling is nearly its usual one: its contacts amplify rounding errors to as much."""
-    effect, plain = find_effect(name), inactive_values(name)
+    effect, plain = find_effect(name), find_effect(name).inactive_values
     starts = [(f"{name}.{short}", value) for start in effect.shape_starts for short, value in start.items()]
     return not effect.coupling or any(abs(values[k] - plain[k]) >= SHAPE_DISTANCE * abs(value - plain[k]) for k, value in starts)
 

@@ -22,7 +22,7 @@ from bristle.diagnosis.estimation.fitted_model import (
 )
 from bristle.diagnosis.estimation.inverse_dynamics import BALANCE_SCREENING_ITERATIONS, Balance, Balanced, BalancedModel
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
-from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, free_parameters, inactive_values
+from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, free_parameters
 from bristle.diagnosis.localisation.residual_response import ResidualResponse, response_of
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
@@ -202,7 +202,7 @@ def _balance_fits(
 ) -> list[tuple[float, JointStart]]:
     """Return the log-likelihood [nats] and the parameters at the best of these start values."""
     law, effects = model.servo.law, (*model.servo.effects, name)
-    defaults = {p.name: p.default for p in find_effect(name).parameters} | inactive_values(name)
+    defaults = {p.name: p.default for p in find_effect(name).parameters} | find_effect(name).inactive_values
     trials = []
     for start in starts:
         free = (*model.free, *free_parameters(name, start, model.servo.limits))

@@ -10,7 +10,6 @@ import numpy as np
 from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
-from bristle.diagnosis.estimation.simulator import has_free_play
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
 from bristle.diagnosis.selection.candidates import EXHAUSTIVE, HOPEFUL_LEVELS, QUICK, Candidate, Effort, fit_candidates
 from bristle.diagnosis.selection.criterion import AGREED_NATS, CERTAIN_LEVELS, CLEAR_LEVELS, SearchRound, accept_or_reject, group
@@ -188,7 +187,7 @@ def is_worth_adding(found: SearchRound, first_gain: float) -> bool:
 def needs_exhaustive_search(dataset: Dataset, fitted: FittedModel) -> bool:
     """True if outliers or a large disturbance are left that neither free play nor uniform motion accounts for."""
     poor = has_outliers_or_disturbance(dataset, fitted.fit)
-    return poor and not dataset.poor_excitation and not any(has_free_play(name) for name in fitted.servo.effects)
+    return poor and not dataset.poor_excitation and not any(find_effect(name).free_play for name in fitted.servo.effects)
 
 
 def residual_has_structure(context: SearchContext, found: SearchRound, taken: set[str]) -> bool:

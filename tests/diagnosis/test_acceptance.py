@@ -379,8 +379,7 @@ def test_a_contact_is_found_because_its_load_is_initialised(case, monkeypatch):
     assert found.outcome == "added"
     assert found.gain > 1000
     assert found.best.fit.values["backlash.play"] == pytest.approx(0.04, rel=0.05)
-    for module in ("estimation.optimiser", "selection.candidates"):
-        monkeypatch.setattr(f"bristle.diagnosis.{module}.initialise_load", lambda problem, fit, steps=0: fit)
+    monkeypatch.setattr("bristle.diagnosis.estimation.initial_states.PLAY_SIDES", ())
     assert propose_effect(context, ["backlash"], None, QUICK).gain < found.gain - 100
 
 
