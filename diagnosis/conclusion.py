@@ -32,6 +32,7 @@ from bristle.records.record import Record
 KNOWN_HALF_WIDTH = 0.3  # half an interval over the value, which of one parameter at least must be less
 UNEXPLAINED_SHARE = 0.5  # share of the residual in a view from which the residual is no noise, whether reported or not
 MOST_TIED, MOST_TIED_UNIFORM = 3, 2  # classes in a tie at most, and in records of uniform motion
+Estimates = Mapping[str, answer.Estimate]  # by the parameters' names
 NOTHING_LEFT = Unexplained(False, None, 0.0)
 TIGHT_BOUNDS = "Effects explain these records, but they only make up for bounds that are too tight."
 
@@ -48,13 +49,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A model against the one before the search.
+    """A model against the one before the search."""
 
-    `views`, `shares`: localisation of both residuals, and the shares of the later one.
-    """
-
-    views: tuple[answer.View, ...]
-    shares: list[Share]
+    views: tuple[answer.View, ...]  # localisation of both residuals
+    shares: list[Share]  # shares of the later one
     gap: answer.Gap  # errors on held-out segments
     error_fall: float  # factor by which the error falls there, outliers clipped
 
@@ -101,7 +99,7 @@ class Conclusion:
     base: dict[str, answer.Estimate]
     parameters: dict[str, answer.Estimate]
     unidentified: tuple[str, ...] = ()  # the model's parameters if the records determine none of them
-    choices: Mapping[str, Mapping[str, answer.Estimate]] = field(default_factory=dict)
+    choices: Mapping[str, Estimates] = field(default_factory=dict)
     proposal: str = ""  # wider bounds to try first, or an empty text
 
     @property
@@ -164,9 +162,7 @@ def _ties(rounds: Sequence[SearchRound]) -> tuple[tuple[str, ...], ...]:
     return tuple(tuple(sorted({r.best.name, *r.ties})) for r in rounds if r.best and r.ties and (r.named or r is rounds[-1]))
 
 
-def _named(
-    rounds: Sequence[SearchRound], names: Sequence[str], parameters: Mapping[str, answer.Estimate]
-) -> tuple[answer.Named, ...]:
+def _named(rounds: Sequence[SearchRound], names: Sequence[str], parameters: Estimates) -> tuple[answer.Named, ...]:
     """Return the effects that are named, with gain and p of the rounds that added them."""
     by_name = {r.best.name: r for r in rounds if r.best and r.named}
     found = [(name, by_name[name].gain, by_name[name].null) for name in names]
@@ -175,7 +171,7 @@ def _named(
     )
 
 
-def _of_effect(name: str, parameters: Mapping[str, answer.Estimate]) -> dict[str, answer.Estimate]:
+def _of_effect(name: str, parameters: Estimates) -> dict[str, answer.Estimate]:
     """Return the parameters of an effect by their short names."""
     return {key.removeprefix(f"{name}."): e for key, e in parameters.items() if key.startswith(f"{name}.")}
 
@@ -243,7 +239,7 @@ def wider_bounds(case: Case, final: FittedModel) -> str:
     return f"wider bounds, since the records fit {' and '.join(lines)}, {better}" if lines else ""
 
 
-def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mapping[str, answer.Estimate]) -> list[str]:
+def bound_lines(model: Model, plain: Estimates, whole: Estimates) -> list[str]:
     """Return a line on parameters of the plain model that end at a bound, and on whether they still do with what was found."""
     lines = []
     for name, e in plain.items():
@@ -257,7 +253,7 @@ def bound_lines(model: Model, plain: Mapping[str, answer.Estimate], whole: Mappi
     return lines
 
 
-def unidentified_parameters(plain: Mapping[str, answer.Estimate]) -> tuple[str, ...]:
+def unidentified_parameters(plain: Estimates) -> tuple[str, ...]:
     """Return the parameters of the base model if the records determine none of them to within `KNOWN_HALF_WIDTH`.
 
     The output then hardly follows the input, and that no effect is found means nothing.

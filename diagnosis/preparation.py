@@ -11,17 +11,7 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import SLOW_SAMPLING
-from bristle.diagnosis.estimation.dataset import (
-    SEGMENT_BINS,
-    SEGMENT_SECONDS,
-    STATE_SMOOTHING,
-    Dataset,
-    Grid,
-    Segments,
-    cut,
-    motion,
-    smooth,
-)
+from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Grid, Segments, cut, motion, smooth
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_from_several_starts, has_diverged
 from bristle.diagnosis.estimation.likelihood import Point, Problem, evaluate, mean_square
 from bristle.diagnosis.estimation.noise import white_noise
@@ -32,6 +22,8 @@ from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
 from bristle.records.record import Record
 
+SEGMENT_SECONDS = 0.4  # s: usual length of a segment
+SEGMENT_BINS = 50  # averages per segment
 SHORTEST_SEGMENT = 0.1  # s: shortest segment for a model that diverges
 LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
 SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws

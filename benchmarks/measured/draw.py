@@ -12,7 +12,7 @@ from cases import Run, torque_along
 from matplotlib import rc_context
 
 from bristle.common.drawing import BLUE, DEGREES, GREY, INK, ORANGE, PALE, STYLE, new_figure, set_title, thin
-from bristle.diagnosis.estimation.dataset import SEGMENT_SECONDS
+from bristle.diagnosis.preparation import SEGMENT_SECONDS
 from bristle.diagnosis.report.figures import worst_part
 
 DPI = 130

@@ -43,14 +43,11 @@ ROTARY_UNITS = ("deg", "rev", "rpm")  # no units of a linear axis
 
 @dataclass(frozen=True)
 class Plausibility:
-    """What the regression shows of the data.
-
-    `fit`: ``value`` and ``se`` of J, a2 and Fc (SI), and ``explained``, the share of the torque that the regression explains.
-    """
+    """What the regression shows of the data."""
 
     proposals: tuple[str, ...]  # mistakes to be corrected before a search: one line each, empty for plausible data
     findings: tuple[str, ...]  # what is unusual, but may be true
-    fit: dict[str, dict[str, float] | float] = field(default_factory=dict)
+    fit: dict[str, dict[str, float] | float] = field(default_factory=dict)  # value and se of J, a2, Fc (SI); explained
 
 
 def check(model: Model, records: Sequence[Record]) -> Plausibility:
@@ -105,10 +102,7 @@ def _nominal(model: Model) -> Array:
 
 # -- another reading of the columns --------------------------------------------------------------------------------------
 def _wrong_reading(model: Model, records: Sequence[Record], found: Regression, alone: bool = False) -> str | None:
-    """Return a proposal to turn the input's sign, to swap the columns or to differentiate once more or less.
-
-    `alone`: it is about one record, and the model file is right for the others.
-    """
+    """Return a proposal to turn the input's sign, swap the columns or differentiate once more or less; `alone`: in one record."""
     given, constants = explained_share(found.rows)
     value, nominal = found.value, _nominal(model)
     if found.known(SIGN_ERRORS)[0] and _near(value[0] / nominal[0]) and given > 0.5:

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs
 
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.noise import Noise, estimate, response
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-SEGMENT_SECONDS = 0.4  # s: usual length of a segment
-SEGMENT_BINS = 50  # averages per segment
 STATE_SMOOTHING = 0.02  # s: half-width of the parabola that gives position and velocity at the start of a segment
 REST_STEPS = 3.0  # steps of the sensor within the smoothing window: a slower speed counts as rest
 LEAST_NOISE_SEGMENTS = 10  # segments: fewest in motion from which the noise is estimated
@@ -150,10 +148,7 @@ def motion(segments: Segments, outputs: list[Array], resolution: float, half: fl
 
 @dataclass(frozen=True)
 class Dataset:
-    """Everything that stays the same during a search.
-
-    `segments`, `motion`: the records, and their smoothed motion.
-    """
+    """Everything that stays the same during a search."""
 
     segments: Segments
     motion: Motion

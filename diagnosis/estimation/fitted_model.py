@@ -91,11 +91,8 @@ def fit_from_several_starts(dataset: Dataset, servo: Servo, values: Mapping[str,
     others = [*balanced_model(dataset, first).models, *([less] if less else [])]
     ends = [first, *(fit_with_noise(dataset, servo, {**values, **other}) for other in others)]
     most = max(fitted.fit.total for fitted in ends)
-    return min((s for s in ends if s.fit.total > most - TIE_NATS), key=lambda s: (_count_at_bounds(s), -s.fit.total))
-
-
-def _count_at_bounds(fitted: FittedModel) -> int:
-    return sum(f.at_bound(fitted.fit.values[f.name]) for f in fitted.servo.free)
+    tied = [s for s in ends if s.fit.total > most - TIE_NATS]
+    return min(tied, key=lambda s: (sum(f.at_bound(s.fit.values[f.name]) for f in s.servo.free), -s.fit.total))
 
 
 def reduced_friction_start(fitted: FittedModel) -> dict[str, float]:

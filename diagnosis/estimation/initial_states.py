@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.likelihood import Fit, Linearised, Problem, evaluate, rescored, scored
-
-Array = NDArray[np.float64]
 
 REFINEMENT_STEPS = 2  # steps of the initial states after each step of the parameters, for a load with free play
 PLAY_SIDES = (-1.0, 0.0, 1.0)  # half plays: places at which a load with free play is tried

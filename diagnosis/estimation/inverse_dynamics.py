@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import NotStaticError
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Motion, Segments
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, moved
 from bristle.diagnosis.estimation.noise import Noise, response, white_noise
@@ -29,7 +30,6 @@ from bristle.plant.effects import effect as find_effect
 from bristle.plant.friction import law as find_law
 from bristle.plant.servo import servo
 
-Array = NDArray[np.float64]
 Names = tuple[str, ...]
 Parameters = tuple[Free, ...]
 Values = Mapping[str, float]
@@ -73,11 +73,7 @@ class Balanced:
 
 
 class Balance:
-    """The measured motion of the segments that count, as an average per bin.
-
-    `segments`, `motion`: the records, and their smoothed motion. `counted` (segments,): which segments count. `fixed`: settings
-    of the simulation, which are no parameters of a fit.
-    """
+    """The measured motion of the segments that count (`counted`), an average per bin; `fixed`: settings of the simulation."""
 
     def __init__(self, segments: Segments, motion: Motion, counted: NDArray[np.bool_], fixed: Values) -> None:
         s, self._counted, self._fixed = segments, counted, fixed

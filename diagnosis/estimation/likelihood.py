@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Segments
 from bristle.diagnosis.estimation.noise import Noise
 from bristle.diagnosis.estimation.simulator import Free, Simulator
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 T_DEGREES_OF_FREEDOM = 10.0  # degrees of freedom of the t distribution of a segment's misfit
 LARGEST_STATE_PRICE = 50.0  # nats: largest Occam factor of the hidden initial states of a segment
@@ -78,24 +78,18 @@ class Point:
 
 @dataclass(frozen=True)
 class Linearised:
-    """Residual of a simulation and its derivatives.
-
-    `by_parameter`, `by_initial` (segments, bins, free or width): derivatives of the whitened averages.
-    """
+    """Residual of a simulation and its derivatives."""
 
     residual: Array  # (segments, bins): measured less simulated averages
-    by_parameter: Array
-    by_initial: Array
+    by_parameter: Array  # (segments, bins, free): derivatives of the whitened averages
+    by_initial: Array  # (segments, bins, width): the same by the initial states
     output_by_initial: Array  # (segments, bins, width): derivatives of the averages by the initial states
     good: Mask  # (segments,): False where the simulation failed
 
 
 @dataclass(frozen=True)
 class Fit(Point):
-    """A point with its likelihood and what a step from it needs.
-
-    `residual`, `output_by_initial`, `by_parameter`, `good`: as of `Linearised`.
-    """
+    """A point with its likelihood and what a step from it needs; fields of the same name as in `Linearised`."""
 
     score: Array  # (segments,): log-likelihood of each segment [nats], initial states eliminated; 0 for segments that do not count
     score_at_initial: Array  # (segments,): the same with the initial states as they are, for all segments

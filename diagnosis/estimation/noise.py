@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from bristle.common.table import Array
+
 CORNERS = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz: corner frequencies of the disturbance torque
 RATIOS = np.logspace(-4, 8, 61)  # variance of the output by the disturbance over that by the sensor
 
@@ -32,15 +32,12 @@ def response(inertia: float, damping: float, h: float, width: int, bins: int, ve
 
 @dataclass(frozen=True)
 class Noise:
-    """Gaussian noise of a segment's averages.
-
-    `torque`, `corner`: standard deviation [N.m] and corner frequency [Hz] of the disturbance.
-    """
+    """Gaussian noise of a segment's averages."""
 
     whiten: Array  # (bins, bins): multiplies averages from the left, so that their covariance becomes 1
     log_det: float  # logarithm of the determinant of the covariance
-    torque: float
-    corner: float
+    torque: float  # standard deviation of the disturbance [N.m]
+    corner: float  # corner frequency of the disturbance [Hz]
     sensor: float  # standard deviation of the independent error of an average [unit of the output]
 
 

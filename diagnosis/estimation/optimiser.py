@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.initial_states import (
     REFINEMENT_STEPS,
     gain_of_trial,
@@ -19,7 +19,6 @@ from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluat
 from bristle.diagnosis.estimation.simulator import Free
 from bristle.plant.effects import effect as find_effect
 
-Array = NDArray[np.float64]
 NoiseProblem = Callable[[Fit], Problem]  # the problem under which a fit is compared, such as that of its own noise
 
 STOP_GAIN = 0.05  # nats: a fit ends when the next step predicts less
@@ -178,8 +177,6 @@ def perturbed_values(values: Mapping[str, float], own: Sequence[Free], step: Arr
 
 def perturbed(name: str, value: float, step: float) -> float:
     """Return the value of an effect's parameter after a step: a time moves by so many seconds, anything else by a factor."""
-    return value + step if _is_time(name) else value * float(np.exp(step))
-
-
-def _is_time(name: str) -> bool:
-    return any(p.name == name and p.unit == "s" and p.minimum < 0 for p in find_effect(name.split(".")[0]).parameters)
+    parameters = find_effect(name.split(".")[0]).parameters
+    time = any(p.name == name and p.unit == "s" and p.minimum < 0 for p in parameters)
+    return value + step if time else value * float(np.exp(step))

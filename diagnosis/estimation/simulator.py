@@ -13,13 +13,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Piece, Segments
 from bristle.model.native import Native, pointer
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.servo import LOAD_STARTS, servo_program
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LEADERS = {"theta_load": "theta", "v_load": "v"}  # state of the load: state of the motor with which a segment sets it
@@ -188,17 +188,14 @@ class Simulator:
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter that is fitted: its interval, whether its steps are factors, and an optional Gaussian prior.
-
-    `nominal`, `prior_sd`: mean and standard deviation of the prior, on the scale of the steps (`scaled`).
-    """
+    """A parameter that is fitted: its interval, whether its steps are factors, and an optional Gaussian prior."""
 
     name: str
     low: float
     high: float
     factor: bool = False
-    nominal: float | None = None
-    prior_sd: float = 1.0
+    nominal: float | None = None  # mean of the prior, on the scale of the steps (`scaled`)
+    prior_sd: float = 1.0  # its standard deviation, on the same scale
 
     @property
     def nominal_value(self) -> float:

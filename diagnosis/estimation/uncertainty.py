@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, evaluate
 from bristle.diagnosis.estimation.optimiser import NONSMOOTH_SPREADS, nonsmooth_parameters, perturbed, perturbed_values
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Free
@@ -15,7 +15,6 @@ from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
-Array = NDArray[np.float64]
 INTERVAL_FACTOR = 2.0  # ratio of an interval's width to the one that the covariance gives
 EDGE_INTERVAL_FACTOR = 5.0  # the same for effects that act beyond a place or a level only, and for couplings
 PARABOLA_TRIALS = 6  # evaluations for each coefficient of the parabola through a nonsmooth likelihood

@@ -22,16 +22,12 @@ FMU_FIT_ROUNDS = 4  # fits of the servo to the FMU, each with the noise level of
 
 @dataclass(frozen=True)
 class EquivalentServo:
-    """A servo fitted to an FMU.
-
-    `error`, `gap`: rms of the servo less the FMU, and of the measured less the FMU, initial states at their best [unit of the
-    output].
-    """
+    """A servo fitted to an FMU."""
 
     dataset: Dataset  # the records, less the difference between FMU and servo
     values: Mapping[str, float]  # parameters of the servo, SI
-    error: float
-    gap: float
+    error: float  # rms of the servo less the FMU, initial states at their best [unit of the output]
+    gap: float  # the same of the measured less the FMU
 
 
 def fit_equivalent_servo(model: Model, dataset: Dataset, copy: Dataset) -> EquivalentServo:

@@ -6,15 +6,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import RestartError
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Segments, smooth
 from bristle.diagnosis.selection.start_values import Progress
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import Replay, ReplayResult, ReplaySegment, replay_records, replay_segments, start_variable
 
-Array = NDArray[np.float64]
 FMU_LEAD = 0.04  # s: time before a segment from which the FMU is simulated, so that its hidden states settle
 
 

@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from bristle.common.errors import BristleError
@@ -34,7 +32,6 @@ from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT
 from bristle.records.record import Record
 
-Array = NDArray[np.float64]
 FMU_ERROR_RATIO = 0.5  # of the error that a refit to the records leaves: largest error of a servo that replaces the FMU
 FMU_PARAMETER_ERROR = 0.02  # relative difference up to which a parameter is not reported
 

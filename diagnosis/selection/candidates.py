@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise
@@ -18,7 +18,6 @@ from bristle.diagnosis.selection.null_distribution import Null, largest_gain
 from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts
 from bristle.plant.effects import effect as find_effect
 
-Array = NDArray[np.float64]
 Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
 CLIMB_REPEATS = 4  # most repetitions of the steps of a candidate that is still below the model without it, but rising
 INERT_GAIN = (-20.0, 2.0)  # nats: predicted gain of an effect that has no influence at its start values
@@ -45,15 +44,12 @@ EXHAUSTIVE = Effort(14, 25, True)
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a candidate above the null's level is worth.
-
-    `large_enough`, `confirmed`: whether the first and the second suffice.
-    """
+    """What a candidate above the null's level is worth."""
 
     error_reduction: float = 1.0  # factor by which the mean squared error falls
     held_out_gain: float = 0.0  # gain on held-out segments, clipped in each [nats]
-    large_enough: bool = False
-    confirmed: bool = False
+    large_enough: bool = False  # whether `error_reduction` suffices
+    confirmed: bool = False  # whether held-out segments agree
     deficit: tuple[float, float] = (0.0, 0.0)  # by how much the best candidate is likelier, and the standard error of that [nats]
 
 

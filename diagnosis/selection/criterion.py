@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_initial_states, refit_nonsmooth, resume
@@ -20,7 +21,6 @@ from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
-Array = NDArray[np.float64]
 Outcome = Literal["none", "rejected", "tie", "added", "withdrawn"]
 CONTENDER_SHARE = 0.2  # of the best gain: least gain of a candidate that is refitted under the best one's noise
 NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
@@ -96,7 +96,9 @@ def accept_or_reject(
     confirmed = [c for c in contenders if _is_sound(c)]
     uniform = bool(context.dataset.poor_excitation)
     ties = tuple(c.name for c in confirmed if c.name != best.name and is_tied(best, c, plain, uniform))
-    contenders = [_with_deficit(best, c) for c in contenders]
+    contenders = [
+        replace(c, assessment=replace(c.assessment, deficit=likelihood_difference(best, c))) for c in contenders if c.assessment
+    ]
     [best] = [c for c in contenders if c.name == best.name]
     assert best.fit is not None
     candidates = {c.name: c for c in (*tried, *contenders)}
@@ -149,13 +151,10 @@ def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
 # -- assessment ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Comparison:
-    """What candidates are compared with.
+    """What candidates are compared with."""
 
-    `plain`, `held_out`: of the model without them, on the training and on the held-out segments.
-    """
-
-    plain: Fit
-    held_out: Fit
+    plain: Fit  # model without them, on the training segments
+    held_out: Fit  # the same on the held-out segments
     problem: Problem  # of the held-out segments
     squares: Array  # (training segments,): mean squared errors of the model without them
     train: NDArray[np.bool_]
@@ -227,16 +226,9 @@ def _accepted(contenders: Sequence[Candidate], plain: Fit, null: Null) -> Candid
     best = _likeliest(large or contenders)
     sound = [c for c in contenders if _is_sound(c)]
     if best in sound:
-        others = [c for c in sound if is_simpler_equal(c, best)]
-    else:
-        others = [c for c in sound if _is_close(best, c, _most_errors(c, plain, null))]
-    return _likeliest(others or [best])
-
-
-def _most_errors(candidate: Candidate, plain: Fit, null: Null) -> float:
-    """Return the standard errors by which a candidate may be behind a best one that is not confirmed."""
-    clear = candidate.gain_over(plain) > CLEAR_LEVELS * null.level(candidate.name)
-    return CLOSE_ERRORS if clear else CLOSER_ERRORS
+        return _likeliest([c for c in sound if is_simpler_equal(c, best)] or [best])
+    clear = {c.name for c in sound if c.gain_over(plain) > CLEAR_LEVELS * null.level(c.name)}
+    return _likeliest([c for c in sound if _is_close(best, c, CLOSE_ERRORS if c.name in clear else CLOSER_ERRORS)] or [best])
 
 
 def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, float]:
@@ -249,11 +241,6 @@ def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, flo
     difference = (best.fit.score - other.fit.score)[best.fit.weight > 0]
     deficit = best.penalised_likelihood - other.penalised_likelihood
     return deficit, float(np.std(difference) * np.sqrt(len(difference)))
-
-
-def _with_deficit(best: Candidate, candidate: Candidate) -> Candidate:
-    assert candidate.assessment is not None
-    return replace(candidate, assessment=replace(candidate.assessment, deficit=likelihood_difference(best, candidate)))
 
 
 def is_simpler_equal(simple: Candidate, rich: Candidate) -> bool:

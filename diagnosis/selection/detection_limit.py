@@ -17,17 +17,14 @@ LARGEST_LIMIT = 1e5  # SI unit of the parameter: a limit beyond this says that t
 
 @dataclass(frozen=True)
 class Undetected:
-    """What a search says of an effect that it did not add.
-
-    `limit`: value of its first parameter [SI] that would have been detected; None where the records do not limit it.
-    """
+    """What a search says of an effect that it did not add."""
 
     name: str
     reason: str = ""  # why it could not be tried, or an empty text
     gain: float | None = None  # gain of its log-likelihood [nats], if it is above the level that chance reaches
     measurable: bool = True  # False if no parameter says how large it is: it does not vanish in proportion to its first one
     confounded: tuple[str, ...] = ()  # parameters from which these records cannot distinguish its size
-    limit: float | None = None
+    limit: float | None = None  # value of its first parameter [SI] that would have been detected; None if the records set no limit
 
 
 def detection_limits(candidates: Sequence[Candidate], null: Null, base: float) -> list[Undetected]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from bristle.common.table import Array
+
 OUTLIER_QUARTILES = 10.0  # times the upper quartile of the segments' squared errors: most that one segment counts for
 
 

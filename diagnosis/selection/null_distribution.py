@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bristle.common.table import Array
 from bristle.diagnosis.localisation.residual_response import chance
 
-Array = NDArray[np.float64]
 REPLICATES = 1999  # draws of random signs
 TYPICAL_QUANTILE = 0.95  # quantile of a candidate's own chance gain that is subtracted before candidates are compared
 SCORE_CLIP = 3.0  # standard deviations: largest score of one segment

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import (
     FittedModel,
@@ -27,7 +27,6 @@ from bristle.diagnosis.localisation.residual_response import ResidualResponse, r
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
 NO_FRICTION_SHARE = 0.1  # of the mean torque of the input: stands for the dry friction of a model without any
@@ -166,13 +165,8 @@ def _nominal_starts(context: SearchContext) -> Callable[[str], list[JointStart]]
 
     def starts(name: str) -> list[JointStart]:
         first = find_effect(name).parameters[0].name.removeprefix(f"{name}.")
-        several = [
-            {**start, first: factor * start[first]}
-            for start in context.start_values(name, evidence)
-            for factor in STRENGTH_FACTORS
-            if first in start
-        ]
-        return _joined(nominal, name, several)
+        known = [start for start in context.start_values(name, evidence) if first in start]
+        return _joined(nominal, name, [{**start, first: x * start[first]} for start in known for x in STRENGTH_FACTORS])
 
     return starts
 
@@ -185,13 +179,10 @@ def _joined(values: Mapping[str, float], name: str, starts: Sequence[Start]) -> 
 def balance_starts(context: SearchContext, model: BalancedModel, name: str) -> list[JointStart]:
     """Return the parameters with which an effect explains most in the inverse dynamics; none if that does not show it."""
     try:
-        found = [
-            each
-            for balance, base in model.fits
-            for each in _balance_fits(
-                model, balance, base, name, context.start_values(name, _balance_evidence(context, model, balance, base))
-            )
-        ]
+        found = []
+        for balance, base in model.fits:
+            starts = context.start_values(name, _balance_evidence(context, model, balance, base))
+            found += _balance_fits(model, balance, base, name, starts)
     except BristleError:
         return []
     return [max(found, key=lambda each: each[0])[1]] if found else []

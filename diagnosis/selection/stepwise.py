@@ -63,17 +63,14 @@ def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> Searc
         assert found.best is not None
         with_effect = replace(context, fitted=add_effect(context, found.best, found.level))
         fitted, removed = backward_elimination(with_effect, base, found.gain, found.level)
-        found = replace(found, decision=f"'{found.best.name}' added{_removal(removed)}")
+        removal = f"; removed, as no longer needed: {', '.join(removed)}" if removed else ""
+        found = replace(found, decision=f"'{found.best.name}' added{removal}")
         rounds.append(found)
         if len(rounds) >= MOST_EFFECTS or dataset.poor_excitation:
             return SearchOutcome(fitted, tuple(rounds))
         if not residual_has_structure(replace(context, fitted=fitted), found, _classes(base, rounds)):
             rounds[-1] = replace(found, decision=f"{found.decision}; neither a view nor an effect shows structure in the residual")
             return SearchOutcome(fitted, tuple(rounds))
-
-
-def _removal(removed: Sequence[str]) -> str:
-    return f"; removed, as no longer needed: {', '.join(removed)}" if removed else ""
 
 
 def _classes(base: FittedModel, rounds: Sequence[SearchRound]) -> set[str]:
@@ -132,9 +129,8 @@ def evaluate_candidates(context: SearchContext, names: Sequence[str], effort: Ef
     above = [c for c in fitted if c.gain_over(fit) > required_gain(c, servo.credible, null)]
     if above and best.penalised_likelihood > Candidate("", fit).penalised_likelihood:
         return accept_or_reject(context, tried, above, null)
-    return SearchRound(
-        tuple(tried), null, fit.total, gain=best.gain_over(fit), decision="no gain above the level that chance reaches"
-    )
+    decision = "no gain above the level that chance reaches"
+    return SearchRound(tuple(tried), null, fit.total, gain=best.gain_over(fit), decision=decision)
 
 
 def required_gain(candidate: Candidate, credible: Mapping[str, tuple[float, float]], null: Null) -> float:
@@ -170,11 +166,8 @@ def is_worth_adding(found: SearchRound, first_gain: float) -> bool:
     """
     assert found.best is not None
     reduction, held_out = found.assessment.error_reduction, found.assessment.held_out_gain
-    if (
-        reduction >= FURTHER_FALL
-        and found.gain > CLEAR_LEVELS * found.level
-        and (held_out > 0 or find_effect(found.best.name).sparse)
-    ):
+    agrees = held_out > 0 or find_effect(found.best.name).sparse
+    if reduction >= FURTHER_FALL and found.gain > CLEAR_LEVELS * found.level and agrees:
         return True
     if found.gain >= max(FURTHER_LEVELS * found.level, FURTHER_SHARE * first_gain) and held_out >= AGREED_NATS:
         return True
