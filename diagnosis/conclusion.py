@@ -66,10 +66,8 @@ class Comparison:
     def left(self, case: Case, final: FittedModel, named: Sequence[str]) -> Unexplained:
         """Return whether a part of the residual is unexplained beside the effects that were named."""
         outliers, disturbance = has_outliers_or_disturbance(case.dataset, final.fit), disturbance_ratio(case.dataset, final.fit)
-        return unexplained(
-            self.shares,
-            FinalModel(named, final.fit.values, case.dataset.turn, self.gap.left, self.error_fall, outliers, disturbance),
-        )
+        model = FinalModel(named, final.fit.values, case.dataset.turn, self.gap.left, self.error_fall, outliers, disturbance)
+        return unexplained(self.shares, model)
 
     def closes_in_part(self, case: Case, final: FittedModel) -> bool:
         """True if some view predicts a part of the residual, in uniform motion that does not show its form."""
@@ -165,10 +163,8 @@ def _ties(rounds: Sequence[SearchRound]) -> tuple[tuple[str, ...], ...]:
 def _named(rounds: Sequence[SearchRound], names: Sequence[str], parameters: Estimates) -> tuple[answer.Named, ...]:
     """Return the effects that are named, with gain and p of the rounds that added them."""
     by_name = {r.best.name: r for r in rounds if r.best and r.named}
-    found = [(name, by_name[name].gain, by_name[name].null) for name in names]
-    return tuple(
-        answer.Named(name, group(name), _of_effect(name, parameters), gain, null.p(name, gain)) for name, gain, null in found
-    )
+    found = ((name, _of_effect(name, parameters), by_name[name]) for name in names)
+    return tuple(answer.Named(name, group(name), own, r.gain, r.null.p(name, r.gain)) for name, own, r in found)
 
 
 def _of_effect(name: str, parameters: Estimates) -> dict[str, answer.Estimate]:
@@ -180,9 +176,8 @@ def as_diagnosis(case: Case, c: Conclusion, started: float, more: Additions) -> 
     """Return a conclusion as it is reported; `started` is when the work began [s, `time.perf_counter`]."""
     model, dataset = case.model, case.dataset
     remains = NOTHING_LEFT if c.proposal else c.remains  # not known before the wider bounds are tried
-    facts = Facts(
-        c.verdict, c.gap, remains, c.effects, c.ties, c.parameters, c.unidentified, dataset.poor_excitation, model.wording
-    )
+    poor = dataset.poor_excitation
+    facts = Facts(c.verdict, c.gap, remains, c.effects, c.ties, c.parameters, c.unidentified, poor, model.wording)
     lines = (f"{TIGHT_BOUNDS} Proposed: {c.proposal}.",) if c.proposal else statement(facts)
     found = [f for r in case.records for f in r.findings]
     own = [*bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c)]

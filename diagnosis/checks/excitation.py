@@ -43,33 +43,24 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
     rest = max(REST_SPEED * float(np.sqrt(np.mean(v**2))), _least_speed(model, records))
     still = np.abs(v) < rest
     reversals = sum(_reversals(each, rest, r.h) for each, r in zip(velocities, records, strict=True))
-    forward = float(np.mean(v > rest))
-    backward = float(np.mean(v < -rest))
     band = max(_spectrum(r.u, r.h)[0] for r in records)
     tone = min(_spectrum(each, r.h)[1] for each, r in zip(velocities, records, strict=True))
     span = max(float(np.ptp(x)) for x in positions)
     slow = float(np.mean((np.abs(v) < SLOW_SPEED * top) & ~still))
     seconds = sum(len(r) * r.h for r in records)
     numbers: dict[str, Any] = {
-        "records": len(records),
-        "samples": int(sum(len(r) for r in records)),
-        "duration": _with("s", seconds),
+        "records": len(records), "samples": int(sum(len(r) for r in records)), "duration": _with("s", seconds),
         "sampling_period": _with("s", records[0].h),
         "input_range": {"lowest": float(np.min(u)), "highest": float(np.max(u)), "unit": model.input_unit},
-        "input_rms": _with(model.input_unit, float(np.sqrt(np.mean(u**2)))),
-        "input_bandwidth": _with("Hz", band),
+        "input_rms": _with(model.input_unit, float(np.sqrt(np.mean(u**2)))), "input_bandwidth": _with("Hz", band),
         "input_between_samples": "changing" if any(record.ahead for record in records) else "held",
         "speed_range": {"lowest": float(np.min(v)), "highest": float(np.max(v)), "unit": f"{length}/s"},
-        "speed_dominant_tone_share": tone,
-        "speed_rms": _with(f"{length}/s", float(np.sqrt(np.mean(v**2)))),
+        "speed_dominant_tone_share": tone, "speed_rms": _with(f"{length}/s", float(np.sqrt(np.mean(v**2)))),
         "range_travelled": _with(length, span),
-        "path_travelled": _with(length, float(sum(np.sum(np.abs(np.diff(x))) for x in positions))),
-        "reversals": reversals,
-        "rest_share": float(np.mean(still)),
-        "slow_share": slow,
-        "forward_share": forward,
-        "backward_share": backward,
-    }
+        "path_travelled": _with(length, float(sum(np.sum(np.abs(np.diff(x))) for x in positions))), "reversals": reversals,
+        "rest_share": float(np.mean(still)), "slow_share": slow, "forward_share": float(np.mean(v > rest)),
+        "backward_share": float(np.mean(v < -rest)),
+    }  # fmt: skip
     if not model.linear:
         numbers["turns_travelled"] = span / (2 * np.pi)
     if model.input_kind in ("voltage", "current"):

@@ -28,11 +28,8 @@ CLEARER_RATIO = 1.5  # the same if that reading gives the nominal inertia and th
 NOMINAL_RATIO = 0.7  # the same if it also gives the other nominal values, from which the given reading is far
 EXPLAINED_SHARE = 0.8  # of the torque: least that another reading must explain
 BEYOND_BOUNDS = 1.5  # factor outside its bounds from which on an estimate is a finding
-CAUSES = {  # logarithms of the factors of (J, a2, Fc) by a column that is too large by a factor of e
-    "input": (1.0, 1.0, 1.0),
-    "output": (-1.0, -1.0, 0.0),
-    "time": (2.0, 1.0, 0.0),
-}
+# logarithms of the factors of (J, a2, Fc) by a column that is too large by a factor of e
+CAUSES = {"input": (1.0, 1.0, 1.0), "output": (-1.0, -1.0, 0.0), "time": (2.0, 1.0, 0.0)}
 KNOWN_FACTORS = {  # factor by which a column is too large: its cause
     "input": {1e3: "a unit of milli", 1e6: "a unit of micro", 100.0: "N.cm", 9.80665: "kgf", 98.0665: "kgf.cm"},
     "output": {180 / math.pi: "deg", 0.5 / math.pi: "rev", 30 / math.pi: "rpm", 1e3: "a unit of milli", 1e6: "a unit of micro"},

@@ -183,10 +183,8 @@ def scored(problem: Problem, point: Point, found: Linearised) -> Fit:
     precision, offset = deviation**-2, mean - point.initial
     elimination = Elimination.of(found.by_initial, white, precision, offset)
     misfit_at_initial = np.einsum("sn,sn->s", white, white) + (precision * offset**2).sum(axis=1)
-    eliminated = np.maximum(
-        misfit_at_initial - np.einsum("si,si->s", elimination.gradient, elimination.step(elimination.gradient)), 0.0
-    )
-    misfit = np.where(found.good, eliminated, FAILED_MISFIT)
+    eliminated = misfit_at_initial - np.einsum("si,si->s", elimination.gradient, elimination.step(elimination.gradient))
+    misfit = np.where(found.good, np.maximum(eliminated, 0.0), FAILED_MISFIT)
     n = white.shape[1] - 2
     cost = 0.5 * problem.noise.log_det + initial_state_price(elimination, precision) * found.good
     score, score_at_initial = (

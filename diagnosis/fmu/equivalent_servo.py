@@ -53,12 +53,11 @@ def fit_equivalent_servo(model: Model, dataset: Dataset, copy: Dataset) -> Equiv
 
 def _fitted(copy: Dataset, servo: Servo, values: Mapping[str, float]) -> Fit:
     """Fit a servo to the FMU by plain least squares: an FMU has no noise, and no segment of it is an accident."""
-    counted, simulator = copy.segments.counted, servo.simulator(copy.segments)
-    fit = evaluate(
-        Problem.of(copy.segments, _white(copy, 1.0), counted), Point(simulator, servo.free, dict(values), copy.segments.initial)
-    )
+    s, counted = copy.segments, copy.segments.counted
+    start = Point(servo.simulator(s), servo.free, dict(values), s.initial)
+    fit = evaluate(Problem.of(s, _white(copy, 1.0), counted), start)
     for _ in range(FMU_FIT_ROUNDS):
-        problem = Problem.of(copy.segments, _white(copy, math.sqrt(mean_square(fit, counted))), counted)
+        problem = Problem.of(s, _white(copy, math.sqrt(mean_square(fit, counted))), counted)
         fit = refit(problem, fit)
     return fit
 

@@ -31,9 +31,8 @@ def simulate_segments(fmu: Fmu, dataset: Dataset, tell: Progress) -> tuple[Segme
         lead = round(FMU_LEAD / s.h)
         stretches = tuple(_stretches(dataset, lead, begins))
         known = {name: variable for name, variable in begins.items() if name in outputs}
-        played = replay_segments(
-            Replay(fmu, s.h, stretches, outputs, known), lambda n: tell("simulating the FMU", 0.05 * n / len(stretches))
-        )
+        replay = Replay(fmu, s.h, stretches, outputs, known)
+        played = replay_segments(replay, lambda n: tell("simulating the FMU", 0.05 * n / len(stretches)))
         return _gathered(s, played, lead), [
             f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments, {lead * s.h:.3g} s before it, with "
             f"{' and '.join(begins.values())} as measured; its other states begin at their start values"

@@ -96,9 +96,8 @@ def accept_or_reject(
     confirmed = [c for c in contenders if _is_sound(c)]
     uniform = bool(context.dataset.poor_excitation)
     ties = tuple(c.name for c in confirmed if c.name != best.name and is_tied(best, c, plain, uniform))
-    contenders = [
-        replace(c, assessment=replace(c.assessment, deficit=likelihood_difference(best, c))) for c in contenders if c.assessment
-    ]
+    deficits = [(c, c.assessment, likelihood_difference(best, c)) for c in contenders]
+    contenders = [replace(c, assessment=replace(a, deficit=deficit)) for c, a, deficit in deficits if a]
     [best] = [c for c in contenders if c.name == best.name]
     assert best.fit is not None
     candidates = {c.name: c for c in (*tried, *contenders)}
@@ -120,10 +119,9 @@ def _inside_limits(context: SearchContext, candidates: Sequence[Candidate]) -> l
 
 def _refitted_contenders(context: SearchContext, candidates: Sequence[Candidate]) -> tuple[Problem, list[Candidate]]:
     """Return those that come near the best one, refitted under its noise until the best one stays the best."""
-    least = CONTENDER_SHARE * _likeliest(candidates).gain_over(context.fit)
-    contenders = [
-        replace(c, fit=refit_with_noise(context.dataset, c.fit)) for c in candidates if c.fit and c.gain_over(context.fit) > least
-    ]
+    plain, least = context.fit, CONTENDER_SHARE * _likeliest(candidates).gain_over(context.fit)
+    near = [c for c in candidates if c.gain_over(plain) > least]
+    contenders = [replace(c, fit=refit_with_noise(context.dataset, c.fit)) for c in near if c.fit]
     best, problem = _likeliest(contenders), context.fitted.problem
     for _ in range(NOISE_ROUNDS):
         assert best.fit is not None
