@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -101,13 +99,7 @@ class Model(Layout):
 
     @classmethod
     def from_dict(cls, tree: Mapping[str, Any], where: Path | str = "model") -> Model:
-        """Return the model that a tree such as a model file's describes; `where` begins the line of an error.
-
-        Raises
-        ------
-        BristleError
-            One line that names key, value and what is allowed.
-        """
+        """Return the model that a tree such as a model file's describes; `BristleError`, one line, begins with `where`."""
         if not isinstance(tree, Mapping):
             raise BristleError(f"{where}: is a {type(tree).__name__}; give a dict such as tomllib.load returns, or use load_model")
         try:
@@ -176,7 +168,6 @@ class _File:
     layout: Layout
 
     def mistake(self, key: str, value: object, message: str) -> BristleError:
-        """Return the one-line error for a key of this file."""
         return mistake(self.where, key, value, message)
 
     def full_name(self, key: str, name: str, value: object) -> str:
@@ -325,29 +316,6 @@ def model_text(model: Model) -> str:
         lines += ["", f"[effects.{effect}]"]
         lines += [f"{_key(name)} = {float(value)!r}  # {model.unit(f'{effect}.{name}')}" for name, value in values.items()]
     return "\n".join([*lines, ""])
-
-
-def write_model(model: Model, path: Path | str) -> None:
-    """Write a model file; a half-written one is never seen.
-
-    Raises
-    ------
-    BristleError
-        If the file cannot be written.
-    """
-    path = Path(path)
-    try:
-        handle, fresh = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(model_text(model))
-            os.chmod(fresh, 0o644)  # mkstemp keeps others out
-            os.replace(fresh, path)
-        except BaseException:
-            Path(fresh).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise BristleError(f"{path}: {error.strerror}; choose a folder you can write") from None
 
 
 def _key(name: str) -> str:

@@ -16,7 +16,7 @@ from bristle.diagnosis.estimation.dataset import Dataset, Motion
 from bristle.diagnosis.estimation.fitted_model import FittedModel
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, evaluate
 from bristle.diagnosis.localisation.maps import residual_map, wave_map
-from bristle.diagnosis.localisation.residual_response import ResidualResponse, chance, response_of
+from bristle.diagnosis.localisation.residual_response import ResidualResponse, chance
 from bristle.diagnosis.localisation.views import Share, View, bases, clocks, harmonics
 from bristle.plant.wording import ROTARY, Wording
 
@@ -179,7 +179,7 @@ def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_],
 
 def _localised(fitted: FittedModel, dataset: Dataset) -> tuple[list[Share], Array, ResidualResponse]:
     """Return what each view predicts of a residual, the torque behind it (samples,) [N.m], and the response it comes from."""
-    response = response_of(fitted, dataset)
+    response = ResidualResponse(fitted, dataset)
     torque = response.torque() * (fitted.fit.weight > 0)[:, None]
     rough = torque.reshape(len(torque), dataset.segments.bins, -1).mean(axis=2)
     factor = 2 * math.pi / dataset.turn  # periods are counted along the path after which a motion begins anew
@@ -199,7 +199,7 @@ def localise(dataset: Dataset, base: FittedModel, final: FittedModel) -> tuple[t
     before, old, _ = _localised(FittedModel(base.servo, final.problem, refitted), dataset)
     after, new, response = _localised(final, dataset)
     before = sorted(before, key=lambda share: share.p > LISTED_VIEW_P)  # what chance gives comes last, whatever its share
-    responses = response_of(base, dataset), response  # each under its own noise
+    responses = ResidualResponse(base, dataset), response  # each under its own noise
     later = {share.view: share for share in after}
     views: list[View] = []
     maps = 0

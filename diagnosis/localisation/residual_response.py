@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel
-from bristle.diagnosis.estimation.likelihood import Fit, Problem
 from bristle.diagnosis.estimation.noise import response
 
 Array = NDArray[np.float64]
@@ -16,19 +15,14 @@ Array = NDArray[np.float64]
 class ResidualResponse:
     """Linear response of the residual to a torque, with what initial states and the model's own parameters could do projected out.
 
-    Attributes
-    ----------
-    rest : ndarray, shape (segments, bins)
-        Whitened residual, free of the initial states.
-    weight : ndarray, shape (segments,)
-        Weight of each segment.
+    `rest`, shape (segments, bins), is the whitened residual, free of the initial states; `weight` that of each segment.
     """
 
-    def __init__(self, problem: Problem, fit: Fit, moving: NDArray[np.bool_], inertia: float, damping: float) -> None:
-        segments = fit.simulator.segments
+    def __init__(self, fitted: FittedModel, dataset: Dataset) -> None:
+        problem, fit, segments = fitted.problem, fitted.fit, fitted.fit.simulator.segments
         self.noise, self.shape = problem.noise, (len(fit.score), segments.bins * segments.width)
-        self._moving = moving
-        self._pulses = response(inertia, damping, segments.h, segments.width, segments.bins, segments.velocity)
+        self._moving = dataset.motion.moving
+        self._pulses = response(fit.values["J"], fit.values["a2"], segments.h, segments.width, segments.bins, segments.velocity)
         self._h = segments.h
         self._seen = problem.noise.whiten @ self._pulses
         self._cover, self._starts = np.linalg.inv(problem.noise.whiten), fit.output_by_initial
@@ -76,11 +70,6 @@ class ResidualResponse:
         memory = np.exp(-2 * np.pi * self.noise.corner * h * np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
         spread = max(self.noise.torque, 1e-30) ** 2
         return np.asarray(self.rest @ (self.noise.whiten @ self._pulses @ memory * spread))
-
-
-def response_of(fitted: FittedModel, dataset: Dataset) -> ResidualResponse:
-    """Return the response of a fitted model."""
-    return ResidualResponse(fitted.problem, fitted.fit, dataset.motion.moving, fitted.fit.values["J"], fitted.fit.values["a2"])
 
 
 def chance(draws: Array, seen: float) -> float:

@@ -21,7 +21,7 @@ from bristle.diagnosis.report.text import (
     effects_listed,
     listed,
     rounded,
-    unexplained_lines,
+    unexplained_line,
     view_name,
 )
 from bristle.plant.effects import effects as all_effects
@@ -110,14 +110,13 @@ class _Writer:
 
     def base(self, diagnosis: Diagnosis, choose: str | None) -> str:
         """Return the model's parameters: nominal, refitted, refitted with the effects."""
-        model = diagnosis.model
-        nominal = model.values
+        nominal = diagnosis.model.values
         columns = {"refitted without effects": diagnosis.base} if diagnosis.base else {}
         if diagnosis.effects:
             columns["with " + listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
         for name, found in diagnosis.choice_parameters.items():
             columns[f"with {name}" + (" (chosen)" if name == choose else "")] = found
-        units = {name: model.unit(name) for name in nominal}
+        units = {name: diagnosis.model.unit(name) for name in nominal}
         units |= {name: e.unit for column in columns.values() for name, e in column.items()}
         rows = []
         for name in dict.fromkeys([*nominal, *units]):
@@ -186,8 +185,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
         return ""  # nothing was searched, or it waits for wider bounds
     open_tie = bool(diagnosis.ties and not diagnosis.effects)
     if left.flag:
-        lines = unexplained_lines(left, diagnosis.model.wording, open_tie)
-        return "".join(f'<p class="alarm">{escape(line)}</p>' for line in lines)
+        return f'<p class="alarm">{escape(unexplained_line(left, diagnosis.model.wording, open_tie))}</p>'
     certain = [v for v in diagnosis.where if v.p_after <= CERTAIN_P]
     said = "no motion variable predicts more of the residual than chance does"
     if certain:

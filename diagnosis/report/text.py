@@ -128,12 +128,13 @@ def reported_parameters(e: Named) -> dict[str, Estimate]:
 # -- the answer ----------------------------------------------------------------------------------------------------------
 def statement(facts: Facts) -> tuple[str, ...]:
     """Return the answer, one sentence or two a line."""
+    left = facts.remains
     return (
         *(_missing(effect, facts.wording) for effect in facts.effects),
         *(_tie(tie, facts) for tie in facts.ties),
         *_without_name(facts),
         _error(facts),
-        *unexplained_lines(facts.remains, facts.wording, bool(facts.ties and not facts.effects)),
+        *([unexplained_line(left, facts.wording, bool(facts.ties and not facts.effects))] if left.flag else ()),
         *_at_bounds(facts.parameters or {}),
     )
 
@@ -142,10 +143,8 @@ def _missing(e: Named, wording: Wording) -> str:
     found = ", ".join(f"{name} {value(estimate)}" for name, estimate in reported_parameters(e).items())
     effect = find_effect(e.name, wording)
     about = "" if effect.description == effect.title else f", {effect.description}"
-    return (
-        f"Missing: {effect_name(e.name, wording)}{about}. "
-        f"Estimated, with 95 % intervals: {found}. Probability that chance improves the fit as much: p ≤ {e.p:.2g}."
-    )
+    certain = f"Probability that chance improves the fit as much: p ≤ {e.p:.2g}"
+    return f"Missing: {effect_name(e.name, wording)}{about}. Estimated, with 95 % intervals: {found}. {certain}."
 
 
 def _tie(tie: Sequence[str], facts: Facts) -> str:
@@ -160,10 +159,9 @@ def _without_name(facts: Facts) -> Iterator[str]:
     if facts.verdict == "none":
         yield "No effect of the catalogue improves the fit by more than chance does, and by enough to matter."
     if facts.unidentified:
-        yield (
-            f"The output hardly follows the input: these records do not determine {listed(facts.unidentified, 'or')}, and so "
-            "cannot show what is missing. Check the columns in [input] and [output], or give records with more motion."
-        )
+        unknown = f"these records do not determine {listed(facts.unidentified, 'or')}, and so cannot show what is missing"
+        check = "Check the columns in [input] and [output], or give records with more motion"
+        yield f"The output hardly follows the input: {unknown}. {check}."
     elif facts.verdict == "not_identifiable":
         why = "too many effects explain it equally well" if facts.ties else "the motion in the records is too uniform"
         yield f"Something is missing, but these records cannot identify it: {why}."
@@ -188,21 +186,17 @@ def _error(facts: Facts) -> str:
     return f"The rms error of the output on held-out segments {changes}."
 
 
-def unexplained_lines(left: Unexplained, wording: Wording, open_tie: bool) -> Iterator[str]:
-    """Give a line on the residual that is unexplained, if there is one; with an open tie none of its members was added."""
-    if not left.flag:
-        return
+def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str:
+    """Return a line on the residual that is unexplained; with an open tie none of its members was added."""
     if left.view is None:
-        said = (
-            f"a random disturbance of {left.disturbance:.0%} of the {wording.torque} of the input is needed to fit the records, "
-            "and no motion variable predicts it"
-        )
+        said = f"a random disturbance of {left.disturbance:.0%} of the {wording.torque} of the input is needed to fit the records"
+        said += ", and no motion variable predicts it"
     elif left.view == OUTLIERS and left.label:
         said = f"{left.share:.0%} of the residual's power is in outlier segments ({left.label})"
     else:
         said = f"{left.share:.0%} of the residual can be predicted from {view_name(left.view, left.label)}"
     end = "with none of the tied effects added" if open_tie else "and no effect of the catalogue explains it"
-    yield f"Unexplained residual: {said}, {end}."
+    return f"Unexplained residual: {said}, {end}."
 
 
 def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:

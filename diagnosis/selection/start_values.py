@@ -23,7 +23,7 @@ from bristle.diagnosis.estimation.fitted_model import (
 from bristle.diagnosis.estimation.inverse_dynamics import BALANCE_SCREENING_ITERATIONS, Balance, Balanced, BalancedModel
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, Free, free_parameters
-from bristle.diagnosis.localisation.residual_response import ResidualResponse, response_of
+from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
@@ -79,7 +79,7 @@ class SearchContext:
     @cached_property
     def response(self) -> ResidualResponse:
         """Response of the model's residual."""
-        return response_of(self.fitted, self.dataset)
+        return ResidualResponse(self.fitted, self.dataset)
 
     @cached_property
     def fits_poorly(self) -> bool:
@@ -161,7 +161,7 @@ def _nominal_starts(context: SearchContext) -> Callable[[str], list[JointStart]]
     nominal = {f.name: f.nominal_value for f in fitted.servo.free if f.nominal is not None}
     point = Point(fitted.fit.simulator, (), {**fitted.fit.values, **nominal}, fitted.problem.initial)
     fit = evaluate(fitted.problem, point)
-    evidence = evidence_of(dataset, fit, response_of(replace(fitted, fit=fit), dataset))
+    evidence = evidence_of(dataset, fit, ResidualResponse(replace(fitted, fit=fit), dataset))
 
     def starts(name: str) -> list[JointStart]:
         first = find_effect(name).parameters[0].name.removeprefix(f"{name}.")

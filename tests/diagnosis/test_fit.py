@@ -14,7 +14,7 @@ from bristle.diagnosis.estimation.likelihood import Elimination, Point, evaluate
 from bristle.diagnosis.estimation.optimiser import refit, refit_initial_states, refit_load, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.estimation.uncertainty import covariance
-from bristle.diagnosis.localisation.residual_response import response_of
+from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.diagnosis.selection.stepwise import evaluate_candidates
 
@@ -180,7 +180,7 @@ def test_segments_that_are_not_judged_do_not_count(case):
 def test_a_torque_in_the_residual_is_read_through_the_lens(case):
     """The linear answer comes near the truth already; what the model's own parameters can do counts for nothing."""
     hidden = case("cogging")
-    response, m = response_of(hidden.base, hidden.dataset), hidden.dataset.motion
+    response, m = ResidualResponse(hidden.base, hidden.dataset), hidden.dataset.motion
     coefficients, gain = response.regress(np.column_stack([np.sin(7 * m.theta), np.cos(7 * m.theta)]))
     assert coefficients[0] == pytest.approx(0.08, rel=0.25)  # the model adds this torque to the motor's
     assert abs(coefficients[1]) < 0.02

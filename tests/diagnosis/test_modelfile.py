@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.modelfile import Model, default_bounds, load_model, model_text, si_unit, write_model
+from bristle.diagnosis.modelfile import Model, default_bounds, load_model, model_text, si_unit
 from bristle.plant.effects import effects
 from bristle.plant.friction import law
 
@@ -199,8 +199,8 @@ def test_effects_that_cannot_be_combined_are_refused(tree, message):
 
 
 def test_a_file_that_begins_with_a_byte_order_mark(tree, tmp_path):
-    write_model(Model.from_dict(tree), tmp_path / "model.toml")
-    text = (tmp_path / "model.toml").read_text(encoding="utf-8")
+    text = model_text(Model.from_dict(tree))
+    (tmp_path / "model.toml").write_text(text, encoding="utf-8")
     (tmp_path / "marked.toml").write_text(text, encoding="utf-8-sig")
     assert load_model(tmp_path / "marked.toml").parameters == load_model(tmp_path / "model.toml").parameters
 
@@ -211,7 +211,7 @@ def test_files_that_cannot_be_read(tmp_path, message):
     assert "not valid TOML" in message(lambda: load_model(tmp_path / "bad.toml"))
 
 
-def test_what_is_written_reads_back_the_same(tree, tmp_path, message):
+def test_what_is_written_reads_back_the_same(tree, tmp_path):
     tree["output"] |= {"unit": "1", "scale": "0.1 deg", "resolution": 1.0, "column": 'a "quoted\\" name\n'}
     tree["effects"] = {
         "cogging": {"amplitude": 0.1 + 0.2, "periods": 7.0, "phase": -1.0},
@@ -220,13 +220,11 @@ def test_what_is_written_reads_back_the_same(tree, tmp_path, message):
     model = Model.from_dict(tree)
     model = replace(model, parameters={name: np.float64(value) * (1 + 1e-16) for name, value in model.parameters.items()})
     path = tmp_path / "augmented.toml"
-    write_model(model, path)
+    path.write_text(model_text(model), encoding="utf-8")
     again = load_model(path)
     assert replace(again, path=None) == model
     assert tomllib.loads(model_text(model))["effects"]["cogging"]["amplitude"] == 0.1 + 0.2
-    assert [p.name for p in tmp_path.iterdir()] == ["augmented.toml"]
     assert again.settings()["cogging.phase"] == -1.0
-    assert "choose a folder" in message(lambda: write_model(model, tmp_path / "nowhere" / "model.toml"))
 
 
 def test_a_model_without_bounds_reads_back_without(tree):

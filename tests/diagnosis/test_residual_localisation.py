@@ -9,7 +9,7 @@ import pytest
 
 from bristle.diagnosis.localisation.maps import residual_map, wave_map
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS, SIGN_DRAWS, shares
-from bristle.diagnosis.localisation.residual_response import response_of
+from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.diagnosis.localisation.views import clocks, hats, hysteresis
 
 SHARE = 0.6
@@ -32,7 +32,7 @@ def plain(case):
 
 def seen_through(plain, torque=None, seed=3):
     """The shares of noise and of what a torque (samples,) does, SHARE of what is whitened; and its power in the output."""
-    dataset, response = plain.dataset, copy(response_of(plain.base, plain.dataset))
+    dataset, response = plain.dataset, copy(ResidualResponse(plain.base, plain.dataset))
     noise = np.random.default_rng(seed).standard_normal(response.rest.shape)
     response.rest = response.freed(noise[:, :, None])[:, :, 0]
     rough, live, expected = np.zeros(response.rest.shape), np.flatnonzero(response.weight > 0), 0.0
@@ -67,7 +67,7 @@ def test_noise_follows_nothing(plain):
 
 
 def test_stretches_that_are_far_off_are_seen_as_such(plain):
-    response, m = copy(response_of(plain.base, plain.dataset)), plain.dataset.motion
+    response, m = copy(ResidualResponse(plain.base, plain.dataset)), plain.dataset.motion
     noise = np.random.default_rng(3).standard_normal(response.rest.shape)
     live = np.flatnonzero(response.weight > 0)
     noise[live[[2, 9, 17]]] *= 30
@@ -121,7 +121,7 @@ def test_a_map_shows_both_ways_of_going(plain):
 
 def through(plain, torque):
     """Return a response whose residual is what a torque (samples,) does."""
-    response = copy(response_of(plain.base, plain.dataset))
+    response = copy(ResidualResponse(plain.base, plain.dataset))
     response.rest = response.free_of_model(response.through(torque[:, None]))[:, :, 0]
     return response
 

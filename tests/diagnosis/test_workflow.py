@@ -21,7 +21,7 @@ from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
 from bristle.diagnosis import preparation as prepare
 from bristle.diagnosis.estimation import fitted_model as fitting_module
-from bristle.diagnosis.modelfile import write_model
+from bristle.diagnosis.modelfile import model_text
 from bristle.diagnosis.workflow import teller
 from bristle.fmus import build
 
@@ -37,7 +37,7 @@ def call(
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def run(*records: Columns, **changes: Any) -> tuple[int, dict[str, Any], str]:
-        write_model(Model.from_dict(deepcopy(tree) | changes), tmp_path / "model.toml")
+        (tmp_path / "model.toml").write_text(model_text(Model.from_dict(deepcopy(tree) | changes)), encoding="utf-8")
         files: list[object] = []
         for i, (t, u, y) in enumerate(records):
             path = tmp_path / f"r{i}.npz"
@@ -176,7 +176,7 @@ def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     assert first.rounds[0].finer == pytest.approx(first.rounds[0].gain, rel=0.2)
     augmented = augment(first)
     assert augmented is not None
-    write_model(augmented.model, tmp_path / "augmented.toml")
+    (tmp_path / "augmented.toml").write_text(model_text(augmented.model), encoding="utf-8")
     again = diagnose(load_model(tmp_path / "augmented.toml"), records)
     assert again.effects == ()
     assert not any(c.name == "gravity" for r in again.rounds for c in r.candidates)
