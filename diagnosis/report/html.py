@@ -95,11 +95,11 @@ class _Writer:
             meaning = "" if known.description == known.title else f'<div class="sub">{escape(known.description)}</div>'
             facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
             first = f'{self.name(effect.name)}{meaning}<div class="sub">{facts}</div>'
-            rows += self._parameters(effect.name, first, effect.parameters)
+            rows += self.parameters(effect.name, first, effect.parameters)
         text = table(("effect", "parameter", "value, 95 % interval", "unit"), rows) if rows else ""
         return text + (f'<p class="sub">Nats: {NATS}; p: probability of as much by chance.</p>' if rows else "")
 
-    def _parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
+    def parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
         meanings = {p.name: p.description for p in self.known[name].parameters}
         rows: list[tuple[str, ...]] = []
         for k, (key, e) in enumerate(parameters.items()):
@@ -144,11 +144,10 @@ def _proposals(diagnosis: Diagnosis) -> str:
 def _tie(diagnosis: Diagnosis, writer: _Writer, choose: str | None) -> str:
     if not diagnosis.ties:
         return ""
-    wording = writer.wording
-    parts = [f"<p>The records cannot distinguish {escape(effects_listed(t, 'from', wording))}.</p>" for t in diagnosis.ties]
+    sets = [escape(effects_listed(tie, "or", writer.wording)) for tie in diagnosis.ties]
+    parts = [f"<p>Any one of these explains the records equally well: {each}.</p>" for each in sets]
     if diagnosis.choices:
-        members = (Named(name, "", found, math.nan, math.nan) for name, found in diagnosis.choices.items())
-        rows = [row for m in members for row in writer._parameters(m.name, writer.name(m.name), m.parameters)]
+        rows = [row for name, found in diagnosis.choices.items() for row in writer.parameters(name, writer.name(name), found)]
         parts.append(table(("with", "parameter", "value, 95 % interval", "unit"), rows))
     if choose is not None:
         parts.append(f"<p>Chosen by hand for the augmented model: {writer.name(choose)}.</p>")
@@ -279,7 +278,7 @@ def render(
     settled = diagnosis.verdict in ("named", "none")  # else what to measure next is the answer
     parts = [
         f'<header><p class="name">diagnosis of {escape(_records(diagnosis))}</p><h1>{escape(title)} {mark}</h1>{lead}'
-        f'<p class="sub">found in {diagnosis.seconds:.0f} s</p></header>{alarms}',
+        f'<p class="sub">the diagnosis took {diagnosis.seconds:.0f} s</p></header>{alarms}',
         _section("What is missing", writer.effects(diagnosis.effects)),
         _section("What fits equally well", _tie(diagnosis, writer, choose)),
         "" if settled else following,

@@ -189,12 +189,12 @@ def _error(facts: Facts) -> str:
 def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str:
     """Return a line on the residual that is unexplained; with an open tie none of its members was added."""
     if left.view is None:
-        said = f"a random disturbance of {left.disturbance:.0%} of the {wording.torque} of the input is needed to fit the records"
-        said += ", and no motion variable predicts it"
+        said = f"a random disturbance of {100 * left.disturbance:.0f} % of the {wording.torque} of the input is needed"
+        said += " to fit the records, and no motion variable predicts it"
     elif left.view == OUTLIERS and left.label:
-        said = f"{left.share:.0%} of the residual's power is in outlier segments ({left.label})"
+        said = f"{100 * left.share:.0f} % of the residual's power is in outlier segments ({left.label})"
     else:
-        said = f"{left.share:.0%} of the residual can be predicted from {view_name(left.view, left.label)}"
+        said = f"{100 * left.share:.0f} % of the residual can be predicted from {view_name(left.view, left.label)}"
     end = "with none of the tied effects added" if open_tie else "and no effect of the catalogue explains it"
     return f"Unexplained residual: {said}, {end}."
 

@@ -132,7 +132,7 @@ def test_what_remains_is_what_the_table_above_it_says(answer):
 
 def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):
     tie, left = answer("tie"), Unexplained(True, "theta", 0.54)
-    without = "Unexplained residual: 54% of the residual can be predicted from position, with none of the tied effects added."
+    without = "Unexplained residual: 54 % of the residual can be predicted from position, with none of the tied effects added."
     assert without in statement(Facts("tie", tie.gap, left, ties=tie.ties))
     assert without in statement(Facts("not_identifiable", tie.gap, left, ties=tie.ties))
     assert "with none of the tied effects added" in text_of(page_of(replace(tie, remains=left)))
@@ -144,13 +144,13 @@ def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(a
 def test_a_tone_is_told_with_its_frequency_and_how_to_look_for_it(answer):
     tone = Unexplained(True, "tone", 0.9, 0.0, "3 Hz")
     facts = Facts("none", answer("none").gap, tone)
-    assert "90% of the residual can be predicted from oscillation in time (3 Hz)" in " ".join(statement(facts))
+    assert "90 % of the residual can be predicted from oscillation in time (3 Hz)" in " ".join(statement(facts))
     assert "oscillation in time (3 Hz)" in text_of(page_of(replace(answer("none"), remains=tone)))
     assert "with the input at zero" in experiment(facts)
     assert "with the input at zero" not in experiment(replace(facts, ties=(("bias", "gravity"),)))
     few = Unexplained(True, OUTLIERS, 0.7, 0.0, "16 of 180 segments, the worst at 1.4 s")
     said = " ".join(statement(replace(facts, remains=few)))
-    assert "70% of the residual's power is in outlier segments (16 of 180 segments, the worst at 1.4 s)" in said
+    assert "70 % of the residual's power is in outlier segments (16 of 180 segments, the worst at 1.4 s)" in said
 
 
 def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
@@ -214,7 +214,7 @@ def test_a_tie_says_what_separates_it_before_anything_else(answer):
 
 
 def test_what_remains_is_an_alarm_only_when_flagged(answer):
-    assert '<p class="alarm">Unexplained residual: 41%' in page_of(answer("none"))
+    assert '<p class="alarm">Unexplained residual: 41 %' in page_of(answer("none"))
     assert "Unexplained residual:" not in page_of(answer("named"))
 
 
@@ -394,7 +394,7 @@ def test_words_are_those_of_the_axis_and_of_its_input():
     facts = Facts("named", gap, left, [bias], [("bias", "asymmetric_coulomb")], {"bias.torque": bias.parameters["torque"]})
     turning = " ".join(statement(facts)) + experiment(facts)
     assert "Missing: constant torque (bias). " in turning
-    assert "60% of the torque of the input" in turning
+    assert "60 % of the torque of the input" in turning
     assert "a constant torque stays what it is" in turning
     facts = replace(facts, wording=Wording(linear=True, input_kind="force"))
     linear = " ".join(statement(facts)) + experiment(facts)
@@ -412,6 +412,13 @@ def test_a_linear_axis_has_no_torque(answer):
     text = text_of(page_of(replace(answer("not_identifiable"), effects=(bias,), verdict="named")))
     assert "constant force, positive forward" in text
     assert "constant torque" not in text
+
+
+def test_an_effect_is_described_once(answer):
+    bias = Named("bias", "bias", {"torque": Estimate(0.06, "N.m", (0.05, 0.07))}, 9.0, 0.001)
+    page = text_of(page_of(replace(answer("named"), effects=(bias,))))
+    assert "constant torque (bias) gain 9 nats" in page
+    assert "cogging torque (cogging) torque that repeats" in text_of(page_of(answer("named")))
 
 
 def test_views_are_named_in_words():
