@@ -47,7 +47,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(diagnosis, "fmu_model", lambda path: f"model in {path.name}")
     monkeypatch.setattr(diagnosis, "load_records", lambda model, paths: [model, *(path.name for path in paths)])
     monkeypatch.setattr(export, "_build_plant", lambda augmented, out, fmi: out.write_bytes(b"plant"))
-    monkeypatch.setattr(export, "_correct", lambda *arguments: lambda out: out.write_bytes(b"correction"))
+    monkeypatch.setattr(export, "_build_correction", lambda names, augmented, out, fmi: out.write_bytes(b"correction"))
     return seen
 
 
