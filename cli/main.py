@@ -239,8 +239,8 @@ def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
 
 
 @app.command(
-    epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction "
-    ". With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u [V] and theta [rad] "
+    epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction. "
+    "With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u [V] and theta [rad] "
     "or, of an FMU without it, v [rad/s]. "
     "Exit code 0: it completed, whatever it found; 2: an error."
 )

@@ -19,6 +19,7 @@ from types import ModuleType
 from bristle.common.errors import BristleError
 
 PLUGINS_VARIABLE = "BRISTLE_PLUGINS"  # environment variable with the folders
+PLUGIN_KINDS = ("laws", "effects", "observers", "scenarios")  # their sub-folders
 
 
 def plugin_folders(kind: str) -> list[Path]:
@@ -33,6 +34,10 @@ def plugin_folders(kind: str) -> list[Path]:
     for root in roots:
         if not root.is_dir():
             raise BristleError(f"{PLUGINS_VARIABLE}: no folder {root}; create it or correct the variable")
+        if not any((root / known).is_dir() for known in PLUGIN_KINDS):
+            raise BristleError(
+                f"{PLUGINS_VARIABLE}: {root} has none of the sub-folders {', '.join(PLUGIN_KINDS)}; move the files there"
+            )
     return [root.resolve() / kind for root in roots if (root / kind).is_dir()]
 
 
@@ -75,7 +80,7 @@ def _load(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a file that leaves the program is a mistake of the file
         del sys.modules[name]
         raise BristleError(f"{path}: {type(error).__name__}: {error}; correct the file or remove it") from error
     return module

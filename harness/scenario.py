@@ -40,7 +40,7 @@ class Part(Section):
     fmu: str | None = None
     """Path of an FMU, relative to the scenario file, in place of one that is built."""
     parameters: dict[str, Given] = Field(default={})
-    """Start values by the names of the FMU's parameters, as text with a unit ("0.001 kg.m2") or as a number in the FMU's unit."""
+    """Start values by the names of the FMU's parameters, as text with a unit ("0.001 kg.m2"); numbers alone where the unit is 1."""
 
 
 class Plant(Part):

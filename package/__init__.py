@@ -12,7 +12,7 @@ The functions do what the commands of the same names do. The rest of the library
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -94,13 +94,13 @@ def run(
     from bristle.harness.run import run as run_scenario
 
     given = tuple(f"{path}={v if isinstance(v, str) else json.dumps(v)}" for path, v in (overrides or {}).items())
-    done = run_scenario(_scenario_path(scenario), Path(out), Options(fmi, kind, given, seed))
+    done = run_scenario(_scenario_path(scenario), _path("out", out), Options(fmi, kind, given, seed))
     return Result(done.result, done.folder)
 
 
 def _scenario_path(scenario: PathLike) -> Path:
     """Return a path, or that of the scenario of this name that comes with the library."""
-    path = Path(scenario)
+    path = _path("scenario", scenario)
     if path.exists() or path.name != str(scenario) or path.suffix:
         return path
     from importlib.resources import files
@@ -147,7 +147,7 @@ def build(
     """
     from bristle.harness.catalogue import build_file
 
-    return build_file(part, Path(out), fmi=fmi, kind=kind, law=law, method=method)
+    return build_file(part, _path("out", out), fmi=fmi, kind=kind, law=law, method=method)
 
 
 def diagnose(
@@ -166,7 +166,7 @@ def diagnose(
     model : path or Model or None
         Model file (TOML), or what `load_model` returns. None if `fmu` alone describes the servo: the FMU must then have the
         parameters J, a2 and b, and the columns of the records are t [s], u [V] and theta [rad] or v [rad/s].
-    data : path or Record, or sequence of them
+    data : path or Record, or sequence of either
         Measured files (CSV, MAT, NPZ or Parquet) or records that are loaded already; two or more records are better than one.
     out : path, optional
         Folder for diagnosis.json, report.html and the augmented model; without it nothing is written.
@@ -189,32 +189,43 @@ def diagnose(
         the folder cannot be written.
     """
     from bristle import diagnosis
+    from bristle.diagnosis.report.export import check_places
+    from bristle.plant.effects import effect
 
-    items: list[PathLike | Record] = [data] if isinstance(data, (str, os.PathLike, diagnosis.Record)) else list(data)
-    files = [Path(item) for item in items if isinstance(item, (str, os.PathLike))]
+    files, records = _split(data)
+    if choose is not None:
+        effect(choose)
     if out is not None:
-        _check_folder(Path(out), [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))] + files, choose)
+        check_places(_path("out", out), [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))] + files)
     known = _model(model, fmu)
-    records = [item for item in items if isinstance(item, diagnosis.Record)]
     if files:
-        records += diagnosis.load_records(known, files)
+        records = diagnosis.load_records(known, files)
     if fmu is None:
         found = diagnosis.diagnose(known, records, progress=progress)
     else:
-        found = diagnosis.diagnose_fmu(Path(fmu), known, records, progress=progress)
+        found = diagnosis.diagnose_fmu(_path("fmu", fmu), known, records, progress=progress)
     if out is not None:
         diagnosis.write(found, Path(out), choose)
     return found
 
 
-def _check_folder(out: Path, inputs: Sequence[Path], choose: str | None) -> None:
-    """Raise `BristleError` for what could not be written, before time is spent on the diagnosis."""
-    from bristle.diagnosis.report.export import check_places
-    from bristle.plant.effects import effect
+def _path(name: str, given: object) -> Path:
+    """Return a path that was given as an argument."""
+    if not isinstance(given, (str, os.PathLike)) or not os.fspath(given):
+        raise BristleError(f"{name} is {given!r}; give a path")
+    return Path(given)
 
-    if choose is not None:
-        effect(choose)
-    check_places(out, inputs)
+
+def _split(data: object) -> tuple[list[Path], list[Record]]:
+    """Return measured files, or records that are loaded already: one of both lists is empty."""
+    from bristle.diagnosis import Record
+
+    one = isinstance(data, (str, os.PathLike, Record)) or not isinstance(data, Iterable)
+    items: list[object] = [data] if one else list(data)  # type: ignore[call-overload]  # iterable, as was asked for
+    records = [item for item in items if isinstance(item, Record)]
+    if records and len(records) < len(items):
+        raise BristleError("data mixes files and loaded records; load all with load_records, so that they get one sampling period")
+    return ([] if records else [_path(f"data[{k}]", item) for k, item in enumerate(items)]), records
 
 
 def _model(model: PathLike | Model | None, fmu: PathLike | None = None) -> Model:
@@ -223,11 +234,13 @@ def _model(model: PathLike | Model | None, fmu: PathLike | None = None) -> Model
 
     if isinstance(model, (str, os.PathLike)):
         return diagnosis.load_model(Path(model))
-    if model is not None:
+    if isinstance(model, diagnosis.Model):
         return model
+    if model is not None:
+        raise BristleError(f"model is {model!r}; give the path of a model file or a Model")
     if fmu is None:
         raise BristleError("nothing to diagnose: model is None; give a model file, a Model, or fmu=PLANT.fmu")
-    return diagnosis.fmu_model(Path(fmu))
+    return diagnosis.fmu_model(_path("fmu", fmu))
 
 
 def load_model(file: PathLike) -> Model:
@@ -294,9 +307,8 @@ def load_records(model: PathLike | Model, files: PathLike | Sequence[PathLike]) 
     Raises
     ------
     BristleError
-        If a file cannot be read or its columns are not usable, or the files were sampled at different rates.
+        If a file cannot be read or its columns are not usable. Files sampled at different rates are brought to the slowest.
     """
     from bristle import diagnosis
 
-    listed = [files] if isinstance(files, (str, os.PathLike)) else list(files)
-    return diagnosis.load_records(_model(model), [Path(file) for file in listed])
+    return diagnosis.load_records(_model(model), _split(files)[0])

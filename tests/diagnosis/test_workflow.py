@@ -199,16 +199,16 @@ def test_a_linear_axis_has_nothing_that_turns(measured: Callable[..., Any], tree
     assert not any("in a turn" in view.label for view in found.where)
 
 
-def test_a_model_that_runs_away_is_compared_over_shorter_stretches_if_there_are_any(
+def test_a_model_that_diverges_is_compared_over_shorter_segments_if_there_are_any(
     measured: Callable[..., Any], model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fitting_module, "DIVERGED_SHARE", -1.0)
     t, u, y, _ = measured("gravity", 1)
-    for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest stretch
+    for every, seconds in ((1, 0.1), (50, 0.4)):  # eight samples are the shortest segment
         records = records_from_arrays(model, [("r", t[::every], u[::every], y[::every])])
         dataset, _, lines = prepare.prepare_model(model, records, prepare.dataset_of(model, records))
         assert dataset.segments.seconds == pytest.approx(seconds)
-        assert [line for line in lines if f"over {seconds:g} s at a time" in line] == lines
+        assert [line for line in lines if f"segments of {seconds:g} s were compared" in line] == lines
         assert len(lines) == (every == 1)
 
 
