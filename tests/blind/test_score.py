@@ -182,5 +182,5 @@ def test_a_changed_answer_breaks_the_seal(tmp_path: Path) -> None:
     seal(tmp_path)
     check_seal(tmp_path)
     (folder / "00001.json").write_text("[]", encoding="utf-8")
-    with pytest.raises(SystemExit, match="does not match answers.sha256"):
+    with pytest.raises(SystemExit, match=r"does not match answers\.sha256"):
         check_seal(tmp_path)
