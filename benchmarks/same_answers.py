@@ -195,7 +195,7 @@ def differences(before: Any, after: Any, where: str) -> Iterator[str]:
 
 def compare(before: Path, after: Path) -> int:
     """Print the differences of two files of results; return 1 if there are any or the later one lacks a result."""
-    old, new = (json.loads(path.read_text(encoding="utf-8")) for path in (before, after))
+    old, new = (numbers_of(json.loads(path.read_text(encoding="utf-8"))) for path in (before, after))
     lines = list(differences({key: old[key] for key in old if key in new}, new, ""))
     missing = sorted(set(old) - set(new))
     for line in lines[:SHOWN_DIFFERENCES]:
