@@ -140,8 +140,21 @@ def test_a_diagnosis_takes_paths_and_loaded_objects(wrong_unit, tmp_path):
     seen = []
     loaded = bristle.diagnose(model, records, progress=lambda text, share: seen.append(share))
     assert (loaded.proposals, loaded.gap) == (by_path.proposals, by_path.gap)
-    mixed = bristle.diagnose(model, [records[0], str(DATA[1])])
-    assert (mixed.proposals, mixed.gap) == (by_path.proposals, by_path.gap)
+
+
+@pytest.mark.parametrize(
+    ("data", "part"),
+    [
+        ([DATA[0], 3], "data[1] is 3"),
+        (3, "data[0] is 3"),
+        ([None], "data[0] is None"),
+        ("mixed", "data mixes files and loaded records"),
+    ],
+)
+def test_data_of_a_wrong_type_are_refused(wrong_unit, message, data, part):
+    """Nothing is left out without a word."""
+    given = [bristle.load_records(wrong_unit, DATA)[0], str(DATA[1])] if data == "mixed" else data
+    assert part in message(lambda: bristle.diagnose(wrong_unit, given))
 
 
 def test_one_record_is_loaded(wrong_unit):
