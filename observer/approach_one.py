@@ -12,7 +12,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update, sta
 
 SX = ca.SX
 CITATION = "dixit2008 eq. (19)-(22)"
-ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2") | {"cb": "1/(s2.V)", "c_alpha2": "1/(rad.s)"} | units("c")
+APPROACH_ONE_ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2") | {"cb": "1/(s2.V)", "c_alpha2": "1/(rad.s)"} | units("c")
 ESTIMATES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
 ENTRY_SIZES = (
     3.0,
@@ -47,10 +47,10 @@ def adapt(p: Namespace, h: SX, error: SX, period: SX) -> tuple[SX, SX]:
     eight entries are excited so unequally that no constant one tried came closer than 70 % in 10 s, even with u' exact.
     Source: zhang2002, with the gain of ljung1999 section 11.2.
     """
-    before, prior = information.read(p, len(ENTRIES)), ca.diag(p.prior / SX(ENTRY_SIZES) ** 2)
+    before, prior = information.read(p, len(APPROACH_ONE_ENTRIES)), ca.diag(p.prior / SX(ENTRY_SIZES) ** 2)
     memory = ca.exp(-period / p.memory)
     r = memory * before + (1 - memory) * prior + h @ h.T
-    theta = ca.vertcat(*(p[f"theta_{name}"] for name in ENTRIES))
+    theta = ca.vertcat(*(p[f"theta_{name}"] for name in APPROACH_ONE_ENTRIES))
     return theta + information.Factors(r).solve(h) * error, r
 
 
@@ -70,8 +70,8 @@ def gain_parameters(prefix: str, memory: float) -> tuple[Parameter, ...]:
 def gain_states() -> tuple[State, ...]:
     """Declare the entries and their information."""
     return (
-        *(State(f"theta_{name}", unit, f"estimate of {name}") for name, unit in ENTRIES.items()),
-        *information.states(len(ENTRIES)),
+        *(State(f"theta_{name}", unit, f"estimate of {name}") for name, unit in APPROACH_ONE_ENTRIES.items()),
+        *information.states(len(APPROACH_ONE_ENTRIES)),
     )
 
 
@@ -89,8 +89,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     g = (regressor(velocity[0], velocity[1], voltage[0], voltage[1])
          + regressor(velocity_new[0], velocity_new[1], voltage_new[0], voltage_new[1])).T / 2  # fmt: skip
     decay = ca.exp(-p.k * s.period)
-    theta = ca.vertcat(*(p[f"theta_{name}"] for name in ENTRIES))
-    upsilon = decay * stack(p, "upsilon", len(ENTRIES)) + (1 - decay) / p.k * g
+    theta = ca.vertcat(*(p[f"theta_{name}"] for name in APPROACH_ONE_ENTRIES))
+    upsilon = decay * stack(p, "upsilon", len(APPROACH_ONE_ENTRIES)) + (1 - decay) / p.k * g
     x2 = decay * p.x2 + (1 - decay) * ((velocity[1] + velocity_new[1]) / 2 + ca.dot(g, theta) / p.k)
     theta_new, r = adapt(p, upsilon, velocity_new[1] - x2, s.period)
     return Update(
@@ -99,7 +99,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
             **unstack("voltage", voltage_new),
             **unstack("upsilon", upsilon),
             **information.write(r),
-            **{f"theta_{name}": theta_new[i] for i, name in enumerate(ENTRIES)},
+            **{f"theta_{name}": theta_new[i] for i, name in enumerate(APPROACH_ONE_ENTRIES)},
             "x2": x2 + ca.dot(upsilon, theta_new - theta),
         },
         estimates=estimates(p),
@@ -123,7 +123,7 @@ METHOD = Method(
         *vector_states("velocity", "1", "estimate of v and its derivatives", 3),
         *vector_states("voltage", "1", "estimate of u and its derivative", 2),
         State("x2", "rad/s2", "estimate of v'"),
-        *vector_states("upsilon", "1", "filtered regressor", len(ENTRIES)),
+        *vector_states("upsilon", "1", "filtered regressor", len(APPROACH_ONE_ENTRIES)),
         *gain_states(),
     ),
     _equations,

@@ -6,7 +6,7 @@ import casadi as ca
 
 from bristle.model.variables import Parameter, State
 from bristle.observer import besancon, information, zhang
-from bristle.observer.approach_one import ENTRIES, adapt, estimates, gain_parameters, gain_states, regressor
+from bristle.observer.approach_one import APPROACH_ONE_ENTRIES, adapt, estimates, gain_parameters, gain_states, regressor
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
@@ -23,8 +23,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     f = besancon.filter_of(context, s)
     du = (s.u - p.u_before) / s.period
-    x, upsilon = stack(p, "x", 2), stack(p, "upsilon", 2, len(ENTRIES))
-    theta = ca.vertcat(*(p[f"theta_{name}"] for name in ENTRIES))
+    x, upsilon = stack(p, "x", 2), stack(p, "upsilon", 2, len(APPROACH_ONE_ENTRIES))
+    theta = ca.vertcat(*(p[f"theta_{name}"] for name in APPROACH_ONE_ENTRIES))
     g0 = regressor(p.y_before, _limited(x[1]), p.u_before, du)
     g1 = regressor(s.y0, SX(0), s.u, du)
     rate = ca.fmax(theta[0] + ca.fabs(s.y0) * theta[7], 0)  # whose step never divides by zero
@@ -36,7 +36,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         **unstack("x", x + upsilon @ (theta_new - theta)),
         **unstack("upsilon", upsilon),
         **information.write(r),
-        **{f"theta_{name}": theta_new[i] for i, name in enumerate(ENTRIES)},
+        **{f"theta_{name}": theta_new[i] for i, name in enumerate(APPROACH_ONE_ENTRIES)},
     }
     return Update(
         next={name: ca.if_else(ready, value, p[name]) for name, value in moved.items()}
@@ -65,7 +65,7 @@ METHOD = Method(
     ),
     (
         *vector_states("x", "1", "state estimate", 2),
-        *vector_states("upsilon", "1", "filtered regressor", 2 * len(ENTRIES)),
+        *vector_states("upsilon", "1", "filtered regressor", 2 * len(APPROACH_ONE_ENTRIES)),
         *gain_states(),
         State("u_before", "V", "input before the last one"),
         State("y_before", "rad/s", "velocity before the last one"),

@@ -14,7 +14,7 @@ from bristle.observer.kalman import MOTION_STATES
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
-ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c", "tau")
+JOINT_ENTRIES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c", "tau")
 START_VALUES = {"sigma0": 300.0, "sigma1": 0.0, "sigma2": 0.0, "c": 100.0, "tau": 0.0}  # round numbers, not taken from a plant
 SPREADS = {"alpha2": 1.0, "b": 1.0, "sigma0": 500.0, "sigma1": 500.0, "sigma2": 500.0, "c": 100.0, "tau": 0.01}
 STATE_SPREADS = (1e-3, 1.0, 5.0)  # rad, rad/s, rad/s2
@@ -38,7 +38,7 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX]:
     error = s.y1 + p.resolution / 2 - z[0]
     noisy = kalman.noisy(covariance, rates, s.period)
     z, covariance, _ = kalman.correct(z, noisy, error, kalman.rounding(p.resolution), p.gate)
-    place = {name: MOTION_STATES + i for i, name in enumerate(ENTRIES)}
+    place = {name: MOTION_STATES + i for i, name in enumerate(JOINT_ENTRIES)}
     low = {place[name]: SX(least) for name, least in LOWEST.items()}
     return kalman.bounded(z, low, {place[name]: SX(most) for name, most in HIGHEST.items()}), covariance
 
@@ -55,10 +55,10 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     friction = servo.sigma[0] / ca.fmax(servo.c, LOWEST["c"])
     return Update(
         next=rls.fit(p, s) | kalman.write(ca.if_else(go, z, waiting), ca.if_else(go, covariance, cov)),
-        estimates={**{name: p[f"joint{MOTION_STATES + i}"] for i, name in enumerate(ENTRIES)}, "Fc": friction},
+        estimates={**{name: p[f"joint{MOTION_STATES + i}"] for i, name in enumerate(JOINT_ENTRIES)}, "Fc": friction},
         signals=kalman.signals(p, _servo),
         first={"joint0": s.y1},
-        valid={name: SX(go) for name in (*ENTRIES, "Fc")},
+        valid={name: SX(go) for name in (*JOINT_ENTRIES, "Fc")},
     )
 
 
@@ -70,7 +70,9 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         *rls.parameters(prefix),
         Parameter(f"{prefix}.start_time", "T0", "s", 10.0, 0.0, 1e6, "when the filter begins", "ljung1999 section 11.2"),
         *(
-            Parameter(f"{prefix}.{name}_start", name, ENTRIES[name], start, -1e9, 1e9, f"start of the estimate of {name}", noise)
+            Parameter(
+                f"{prefix}.{name}_start", name, JOINT_ENTRIES[name], start, -1e9, 1e9, f"start of the estimate of {name}", noise
+            )
             for name, start in START_VALUES.items()
         ),
         Parameter(f"{prefix}.noise_v", "q_v", "rad2/s3", 0.1, 0.0, 1e9, "process noise of v", noise),

@@ -9,7 +9,7 @@ import casadi as ca
 from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Coupling, Effect, Evidence, power
 
-DEPTH = 1e-3  # rad: deformation of the contact at which its torque does not depend on the exponent
+CONTACT_DEPTH = 1e-3  # rad: deformation of the contact at which its torque does not depend on the exponent
 
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
@@ -20,8 +20,8 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
     """
     half = c.p.play / 2
     press = twist - ca.fmin(ca.fmax(twist, -half), half)
-    bent = power(press / DEPTH, c.p.exponent - 1)
-    return Coupling(c.p.share, c.p.stiffness * press * bent * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)))
+    shape = power(press / CONTACT_DEPTH, c.p.exponent - 1)
+    return Coupling(c.p.share, c.p.stiffness * press * shape * ca.fmax(0, 1 + c.p.dissipation * rate * ca.sign(press)))
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:

@@ -11,7 +11,7 @@ import numpy as np
 from bristle.model.variables import Parameter
 from bristle.plant.effect import Context, Effect, Evidence, Limits, RecordedMotion, power
 
-DEPTH = 0.1  # rad: where the torque does not depend on the exponent
+STOP_DEPTH = 0.1  # rad: where the torque does not depend on the exponent
 
 
 def torque(c: Context) -> ca.SX:
@@ -20,7 +20,7 @@ def torque(c: Context) -> ca.SX:
     Source: acary2008 (unilateral contact with a spring in place of the constraint), hunt1975 (a power of the depth).
     """
     press = ca.fmax(c.p.lower - c.theta, 0) - ca.fmax(c.theta - c.p.upper, 0)
-    return ca.SX(c.p.stiffness * press * power(press / DEPTH, c.p.exponent - 1))
+    return ca.SX(c.p.stiffness * press * power(press / STOP_DEPTH, c.p.exponent - 1))
 
 
 SHARES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # of the time that a stop may be reached
