@@ -40,7 +40,7 @@ PLAIN_SYMBOLS = {  # of the parameters, as plain characters: mathematical typese
 }  # fmt: skip
 MODEL_LABELS = {  # of the models that are compared
     "model": "observer's model",
-    "floor": "floor: fitted 7-parameter model",
+    "floor": "best-fit floor: fitted 7-parameter model",
     "coulomb": "fitted viscous + Coulomb",
     "linear": "fitted viscous",
 }

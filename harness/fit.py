@@ -1,4 +1,4 @@
-"""Output-error fits of the lean plant FMUs to a record (u, y): the baselines and the noise floor."""
+"""Output-error fits of the lean plant FMUs to a record (u, y): the baselines and the best-fit floor."""
 
 from __future__ import annotations
 

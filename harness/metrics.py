@@ -43,7 +43,7 @@ CHECK_QUANTITIES = {
     "validation.rms_velocity": ("rad/s", "standard deviation of the velocity in the second run"),
     "validation.BASELINE_mse_percent": (
         "%",
-        "the same of a fitted model: linear (viscous), coulomb, floor (best fit of the law)",
+        "the same of a fitted model: linear (viscous), coulomb, floor (best fit of the modified law)",
     ),
     "validation.mse_over_BASELINE": ("1", "mse_percent over that of the fitted model; below 1 the identified model is better"),
     "validation.fits.BASELINE.identification_mse_percent": ("%", "error of the fitted model on the first run"),

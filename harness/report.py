@@ -89,7 +89,9 @@ def _validation(result: Mapping[str, Any]) -> str:
             facts.append(f"It is {number(1 / ratio if better else ratio, 3)} times {'better' if better else 'worse'} than {text}.")
     floor = _finite(found.get("mse_over_floor"))
     if floor is not None and found["floor_mse_percent"] > 1e-6:  # below, the floor is only digits
-        facts.append(f"Its error is {number(floor, 3)} times the floor.")
+        facts.append(
+            f"Its error is {number(floor, 3)} times the best-fit floor, the error of a modified LuGre model fitted directly."
+        )
     stuck = [f"{n} of the {k} fit" for k, f in found.get("fits", {}).items() for n in f["at_bound"]]
     if stuck:
         facts.append(f"At a bound: {escape(', '.join(stuck))}.")

@@ -1,4 +1,4 @@
-"""Validation on a second record: the observer's model in open loop, beside fitted baselines and a floor."""
+"""Validation on a second record: the observer's model in open loop, beside fitted baselines and the best-fit floor."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def validate(identification: Data, second: Data, identified: Identified, fmus: M
     fmus : mapping of str to Fmu
         The lean FMUs by law.
     baselines : bool
-        Whether to fit baselines and floor.
+        Whether to fit the baselines and the best-fit floor.
     """
     wanted: dict[str, list[str]] = {}
     for name, law in BASELINES.items():

@@ -300,10 +300,10 @@ Methods that take alpha2 and b as known get the true ones. Each cell: median / w
 "never": not by the end, or no number; "failed": runs that ended early. An even number of records has the larger of the two in the
 middle as its median. Plants S, R: the modified law, parameters known. L0, L1: original LuGre without and with
 bristle damping; GMS: four Maxwell-slip elements; no observer's model contains them, and they are judged by eq. (25) on a second
-record, over what a fit of the modified law with tau to 60 s of the clean velocity reaches (the floor; what has seen more may
-reach less). An observer is judged by the richest model that its outputs make: the modified law, viscous + Coulomb, viscous. The
-original law, which `cao` identifies, and elements side by side are not among them: those two are judged by their Coulomb friction
-here, and docs/mathematics.md says what they reach.
+record, over the best-fit floor: what a fit of the modified law with tau (7 parameters) to 60 s of the clean velocity reaches (an
+estimate from a longer record may reach less). An observer is judged by the richest model that its outputs determine: the
+modified law, viscous + Coulomb, or viscous. The original law, which `cao` identifies, and elements side by side are not among them:
+those two are judged by their Coulomb friction here, and docs/mathematics.md says what they reach.
 """
 
 
