@@ -75,14 +75,15 @@ def main() -> None:
     put("slow records", "benchmarks/blind/low_rate_records.py", f"""## Records with a low sampling rate
 
 `python benchmarks/blind/low_rate_records.py`: controls and single effects of gap ratio 2 and more, half in another form, from
-a drive that works at 1 kHz; every fourth or sixteenth sample is kept. `held`: the input is taken as held between these samples,
-which it was not; `found`: rule 1 of diagnosis_rules.md decides. (A delay of less than half a sample is then part of what is found.)
+a drive that works at 1 kHz; every fourth or sixteenth sample is kept. `held`: the diagnosis assumes an input that is constant
+between these samples, which it was not; `found`: it decides by rule 1 of diagnosis_rules.md how the input changes between them.
+(What it estimates includes any delay of less than half a sample.)
 
 | logged at | input | controls named | named right | with a wrong name | reported as not held |
 |---|---|---|---|---|---|
 {rows}
 
-With this few cases the table gives no bound on an error rate. They come from the generator of the blind test, so its limits apply;
+With so few cases the table gives no bound on an error rate. They come from the generator of the blind test, so its limits apply;
 and as its drive works at 1 kHz, the input is never truly held between the samples kept.
 """)  # fmt: skip
     print(rows)

@@ -1,4 +1,4 @@
-"""What the search names when it is told the answer: whether a case that is not right was a failure of search or of evidence.
+"""What the search names when the answer is known to it: whether a case that is not right was a failure of search or of evidence.
 
     oracle_search.py --out out/blind/HASH [--jobs 2]
 
@@ -35,7 +35,7 @@ def known_answer(answer: Any) -> dict[str, Any]:
     return {"start_values": {name: [values] for name, values in truth.items() if values}, "exhaustive": tuple(truth)}
 
 
-def diagnose_told(folder: Path, answer: Any, target: Path) -> None:
+def diagnose_with_answer(folder: Path, answer: Any, target: Path) -> None:
     """Diagnose one case with its answer known."""
     run.diagnose_one(folder, target, known_answer(answer))
 
@@ -46,7 +46,7 @@ def missed(out: Path) -> list[tuple[Any, Any]]:
 
 
 def table(pairs: Iterable[tuple[Any, Any]], found: Callable[[Any], Any]) -> str:
-    """Return the counts by group and form, and a line for each case, of (answer, result) and what is `found` when told."""
+    """Return the counts by group and form, and a line for each case, of (answer, result) and what is `found` knowing the answer."""
     judged = [(Judged(answer, found(answer)), result) for answer, result in pairs]
     rows = []
     for key, count in standings((j.answer, j.result) for j, _ in judged).items():
@@ -58,8 +58,9 @@ def table(pairs: Iterable[tuple[Any, Any]], found: Callable[[Any], Any]) -> str:
         form = label(j.group, j.answer["effects"][0]["form"])
         lines.append(f"| {j.answer['case']} | {form} | {' | '.join(names)} | {'right' if j.right else stood(j)} |")
     return "\n".join([
-        f"| group | not right | right when told | {' | '.join(STANDS)} |", f"|{'---|' * (len(STANDS) + 3)}", *rows, "",
-        "| case | group, form | truth | said | said when told | the missing one stood |", "|---|---|---|---|---|---|", *lines,
+        f"| group | not right | right with the answer known | {' | '.join(STANDS)} |", f"|{'---|' * (len(STANDS) + 3)}", *rows, "",
+        "| case | group, form | truth | named | named with the answer known | the missing one stood |",
+        "|---|---|---|---|---|---|", *lines,
     ])  # fmt: skip
 
 
@@ -71,11 +72,11 @@ def main() -> None:
     pairs = missed(a.out)
 
     def target(answer: Any) -> Path:
-        return Path(a.out) / "told" / f"{answer['case']:05d}.json"
+        return Path(a.out) / "answer_known" / f"{answer['case']:05d}.json"
 
     calls = [(a.out / "cases" / target(answer).stem, answer, target(answer)) for answer, _ in pairs]
-    run.go_on(diagnose_told, calls, a.jobs, "told")
-    text = f"""# What the search names when it is told the answer
+    run.go_on(diagnose_with_answer, calls, a.jobs, "answer_known")
+    text = f"""# What the search names when the answer is known to it
 
 `python benchmarks/blind/oracle_search.py --out out/blind/{a.out.name}`. Cases that are not named right, diagnosed again with
 all starts of the effects that are there followed to their ends and, where the form is their own, started from the truth as well;

@@ -39,6 +39,12 @@ BLIND_TEST_INTRODUCTION = """## How often it is wrong
 half of the effects in another form of the same physics), seeded by the hash of the commit under test; diagnoses them; and scores
 the results against sealed answers. A commit is tested once and the first run counts. Further tables, by effect, by gap ratio and
 by parameter, are in [benchmarks/results/blind.md](../benchmarks/results/blind.md).
+
+In the table, an effect in its **own form** follows the equation of the catalogue, one in **another form** a different equation of
+the same physics. A **control** has no hidden effect. **Outside** means that the hidden effect is not in the catalogue, **pairs**
+that two effects are hidden, **poor excitation** that the records move too little or too uniformly. **Flagged** means that the
+answer reports an [unexplained residual](glossary.md#unexplained-residual). The [gap ratio](glossary.md#gap-ratio) says how large
+the effect is.
 """
 PUBLISHED_TABLES = ROOT / "benchmarks" / "results" / "blind.md"
 

@@ -256,11 +256,11 @@ def _restraint(cases: list[Judged]) -> list[Figure]:
     return [
         _at_most("false alarm on a control (anything named)", (bool(c.named) for c in controls), 1, 240),
         _at_most("tie reported on a control", (c.result["verdict"] == "tie" for c in controls), None),
-        _at_most("control flagged 'something remains'", (c.flagged for c in controls), None),
+        _at_most("control flagged 'unexplained residual'", (c.flagged for c in controls), None),
         _at_most("outside: misnamed without a flag", (bool(c.named) and not c.flagged for c in outside), 1, 240),
         _at_most("outside: not flagged", (not c.flagged for c in outside), 6, 240),
         _at_most("outside: misnamed, flagged or not", (bool(c.named) for c in outside), None),
-        _at_most("false 'something remains' when named right", (c.flagged for c in right), 0.05),
+        _at_most("false 'unexplained residual' when named right", (c.flagged for c in right), 0.05),
     ]
 
 
@@ -271,8 +271,13 @@ def _several(cases: list[Judged]) -> list[Figure]:
         _at_most("pairs: an effect missed", (bool(c.missed) for c in pairs), 3, 160),
         _at_most("pairs: both missed", (len(c.missed) == 2 for c in pairs), None),
         _at_most("pairs: a wrong extra effect", (bool(c.extra) for c in pairs), 1, 160),
-        _at_most("poor: neither named, tied nor called not identifiable", (not _poor_helped(c) for c in poor), 3, 160),
-        _at_most("poor: a wrong name or a tie without the truth", (_poor_wrong(c) for c in poor), None),
+        _at_most(
+            "poor excitation: truth neither named nor in the tie, nor called not identifiable",
+            (not _poor_helped(c) for c in poor),
+            3,
+            160,
+        ),
+        _at_most("poor excitation: a wrong name, or a tie without the truth", (_poor_wrong(c) for c in poor), None),
     ]
 
 

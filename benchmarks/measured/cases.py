@@ -210,7 +210,7 @@ def odrive(tell: Callable[[str], None]) -> Iterator[Run]:
         numbers["strongest wave of the motor's torque along the position"] = seen
         wanted = (frozenset({"cogging"}), *([frozenset[str]()] if compensated else []))  # a compensated effect may be invisible
         data = {"compensated": compensated, "gain": model.parameters["b"]}
-        question = "cogging hidden, made up for" if compensated else "cogging hidden"
+        question = "cogging hidden, compensated by the drive" if compensated else "cogging hidden"
         yield Run(f"ODrive, compensation {word}", question, wanted, tuple(records), found, numbers, data)
 
 

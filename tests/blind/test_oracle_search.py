@@ -23,7 +23,7 @@ def test_an_answer_becomes_start_values_and_effort() -> None:
     assert options.test_input_hold
 
 
-def test_what_is_right_when_told_is_counted_apart_from_what_is_refused_even_then() -> None:
+def test_cases_right_with_the_answer_known_are_counted_apart_from_refused_ones() -> None:
     said = {"verdict": "named", "effects": [{"name": "gravity"}], "ties": []}
     last = {"added": None, "rejected": "dead_zone"}
     refused = said | {"rounds": [last | {"candidates": [{"name": "dead_zone", "gain": 30.0, "level": 10.0}]}]}
@@ -32,7 +32,7 @@ def test_what_is_right_when_told_is_counted_apart_from_what_is_refused_even_then
     lines = table([(ANSWER, said), (other, said)], lambda answer: right if answer["case"] == 7 else refused).splitlines()
     counts = dict(zip(lines[0].split(" | "), lines[2].split(" | "), strict=True))
     assert counts["not right"] == "2"
-    assert counts["right when told"] == "1"
+    assert counts["right with the answer known"] == "1"
     assert counts["led and refused"] == "1"
     assert lines[-2].endswith("| gravity, dead_zone | gravity | gravity, dead_zone | right |")
     assert lines[-1].endswith("| gravity, dead_zone | gravity | gravity | led and refused |")

@@ -91,7 +91,12 @@ def test_few_intervals_that_all_cover_the_truth_are_not_too_wide() -> None:
         ("outside", 6, says("none"), "outside: not flagged"),
         ("pair", 3, says("named", GRAVITY), "pairs: an effect missed"),
         ("pair", 1, says("named", GRAVITY, BIAS, COGGING), "pairs: a wrong extra effect"),
-        ("poor", 3, says("tie", ties=[["cogging", "bias"]]), "poor: neither named, tied nor called not identifiable"),
+        (
+            "poor",
+            3,
+            says("tie", ties=[["cogging", "bias"]]),
+            "poor excitation: truth neither named nor in the tie, nor called not identifiable",
+        ),
         ("same", 0, says("error"), "cases that ended in an error"),
     ],
 )
@@ -108,7 +113,7 @@ def test_wrong_names_count_wherever_they_are() -> None:
         next(r for a, r in pairs if a["group"] == group).update(result("named", COGGING))
     found = {f.name: f for f in figures([Judged(*pair) for pair in pairs])}
     assert found["a wrong class among all that were named"].count == 4
-    assert found["poor: a wrong name or a tie without the truth"].count == 1
+    assert found["poor excitation: a wrong name, or a tie without the truth"].count == 1
 
 
 def test_a_name_of_the_same_class_is_right_but_not_strictly() -> None:
@@ -133,7 +138,7 @@ def test_one_of_two_is_in_part_and_none_is_no_help_on_poor_records() -> None:
     silent = result("none") | {"experiment": "record steps of many sizes"}
     pairs = [(answer("poor", GRAVITY), silent)]
     found = {f.name: f for f in figures([Judged(*pair) for pair in pairs])}
-    assert found["poor: neither named, tied nor called not identifiable"].count == 1
+    assert found["poor excitation: truth neither named nor in the tie, nor called not identifiable"].count == 1
 
 
 def test_the_class_is_the_scorers_own() -> None:
