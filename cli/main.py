@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from bristle.diagnosis.report.result import Diagnosis
-    from bristle.harness.run import Run
+    from bristle.harness.run import Checked, Options, Run
 
 PASS, FAIL, ERROR = 0, 1, 2
 
@@ -128,7 +127,7 @@ def build(
 
 @app.command()
 def run(
-    scenarios: Annotated[list[Path], typer.Argument(help="scenario files", metavar="SCENARIO.toml...")],
+    scenarios: Annotated[list[Path], typer.Argument(help="scenario files, or names from bristle list", metavar="SCENARIO...")],
     out: Annotated[Path, typer.Option(help="folder for the results")],
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
@@ -137,27 +136,51 @@ def run(
     full: Annotated[bool, typer.Option("--full", help="signals.csv at full rate")] = False,
     debug: DebugOption = False,
 ) -> None:
-    """Run scenarios and write a result folder for each."""
+    """Run scenarios and write a result folder for each; none runs before all are checked."""
+    from bristle.common.output import output_folder
     from bristle.harness.run import Options
-    from bristle.harness.run import run as run_scenario
 
     _refuse_duplicates(scenarios)
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full)
-    worst = PASS
-    for path in scenarios:
-        begin = time.perf_counter()
-        try:
-            with _progress(path.stem) as tell:
-                done = run_scenario(path, out, options, tell)
-        except BristleError as error:
-            if debug:
-                traceback.print_exc()
-            _say(_explain(error))
-            worst = ERROR
-        else:
-            _report(done, time.perf_counter() - begin)
-            worst = max(worst, PASS if done.passed else FAIL)
-    raise typer.Exit(worst)
+    with output_folder(out):
+        checked = [_checked(path, out, options, debug) for path in scenarios]
+        ready = [each for each in checked if each is not None]
+        worst = max(_executed(each, debug) for each in ready) if len(ready) == len(checked) else ERROR
+        raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
+
+
+def _checked(path: Path, out: Path, options: Options, debug: bool) -> Checked | None:
+    """Check a scenario; of one that cannot be run, print the error and return None."""
+    from bristle.harness.catalogue import find_scenario
+    from bristle.harness.run import check
+
+    try:
+        with _progress(path.stem) as tell:
+            return check(find_scenario(path), out, options, tell)
+    except BristleError as error:
+        _complain(error, debug)
+        return None
+
+
+def _executed(checked: Checked, debug: bool) -> int:
+    """Run a scenario, print its verdict or its error, and return the exit code."""
+    from bristle.harness.run import execute
+
+    try:
+        with _progress(checked.setup.loaded.name) as tell:
+            done = execute(checked, tell)
+    except BristleError as error:
+        _complain(error, debug)
+        return ERROR
+    _report(done)
+    return PASS if done.passed else FAIL
+
+
+def _complain(error: BaseException, debug: bool) -> None:
+    """Print an error as one line."""
+    if debug:
+        traceback.print_exc()
+    _say(_explain(error))
 
 
 def _refuse_duplicates(paths: Sequence[Path]) -> None:
@@ -169,7 +192,8 @@ def _refuse_duplicates(paths: Sequence[Path]) -> None:
             )
 
 
-def _report(done: Run, seconds: float) -> None:
+def _report(done: Run) -> None:
+    """Print the verdict of a run, why it failed, and findings on its record."""
     result = done.result
     failed = [check["name"] for check in result["checks"] if not check["pass"]]
     why = ""
@@ -177,7 +201,10 @@ def _report(done: Run, seconds: float) -> None:
         why = f"  {result['diverged']['fmu']} stopped at {result['diverged']['time_s']:g} s: {result['diverged']['message']}"
     elif failed:
         why = f"  failed: {', '.join(failed)}"
-    print(f"{result['scenario']:<24} {result['verdict']:<4} {seconds:7.1f} s  {done.folder / 'report.html'}{why}", flush=True)
+    head = f"{result['scenario']:<24} {result['verdict']:<4} {result['wall_s']:7.1f} s"
+    print(f"{head}  {done.folder / 'report.html'}{why}", flush=True)
+    for line in done.findings:
+        print(f"  - {line}", flush=True)
 
 
 @contextmanager
@@ -354,9 +381,7 @@ def main() -> None:
     try:
         code = app(standalone_mode=False)
     except (Exception, Interrupted) as error:
-        if debug:
-            traceback.print_exc()
-        _say(_explain(error))
+        _complain(error, debug)
         raise SystemExit(ERROR) from None
     raise SystemExit(code if isinstance(code, int) else PASS)
 

@@ -41,7 +41,7 @@ def to_json(content: Mapping[str, Any]) -> str:
 def complain(folder: Path, error: OSError) -> BristleError:
     """Return the error for a folder that cannot be written."""
     return BristleError(
-        f"output folder {folder}: {error.strerror or error}; choose another with --out or make room (nothing was changed)"
+        f"output folder {folder}: {error.strerror or error}; choose another folder or make room (nothing was changed)"
     )
 
 

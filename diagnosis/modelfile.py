@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
+from bristle.common.arguments import as_path
 from bristle.common.errors import BristleError, suggest
 from bristle.common.toml import first_mistake, mistake, quoted, read_toml
 from bristle.common.units import parse_unit, quantity
@@ -22,7 +23,6 @@ from bristle.plant.law import FrictionLaw
 from bristle.plant.servo import A2, B, J, servo
 from bristle.plant.wording import Wording
 from bristle.records.layout import INPUT_UNITS, Layout, LayoutTable, layout_lines, layout_of
-from bristle.records.record import must_be_path
 
 Given = str | int | float | bool
 BOUND_FACTOR = 5.0  # a parameter without bounds may move by this factor either way
@@ -128,8 +128,7 @@ def load_model(path: Path | str) -> Model:
     BristleError
         One line that names file, key, value and what is allowed.
     """
-    must_be_path(path, "model file")
-    path = Path(path)
+    path = as_path("model", path)
     _, tree = read_toml(path, "model file")
     return Model.from_dict(tree, path)
 

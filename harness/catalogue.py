@@ -2,21 +2,47 @@
 
 from __future__ import annotations
 
-import tomllib
 from importlib.resources import files
 from pathlib import Path
 
+from bristle.common.errors import BristleError, suggest
 from bristle.common.output import output_folder
 from bristle.common.plugins import plugin_files
+from bristle.common.toml import read_toml
 from bristle.fmus.host import Fmu
 
 
+def scenario_files() -> dict[str, Path]:
+    """Return the scenarios that come with bristle, and those in plug-in folders, by name in alphabetical order."""
+    found: dict[str, Path] = {}
+    own = Path(str(files("bristle.scenarios")))
+    for path in [*own.glob("*.toml"), *plugin_files("scenarios", ".toml")]:
+        if path.stem in found:
+            raise BristleError(f"{path}: a scenario is called '{path.stem}' already, {found[path.stem]}; rename the file")
+        found[path.stem] = path
+    return dict(sorted(found.items()))
+
+
 def scenarios() -> dict[str, str]:
-    """Return the titles of the scenarios that come with bristle, and of those in plug-in folders, by name."""
-    own = [entry for entry in files("bristle.scenarios").iterdir() if entry.name.endswith(".toml")]
-    found = sorted([*own, *plugin_files("scenarios", ".toml")], key=lambda entry: entry.name)
-    titles = (tomllib.loads(entry.read_text(encoding="utf-8")).get("title", "") for entry in found)
-    return {entry.name.removesuffix(".toml"): str(title) for entry, title in zip(found, titles, strict=True)}
+    """Return the titles of these scenarios by name; raise `BristleError` for a file that is not TOML."""
+    return {name: str(read_toml(path, "scenario file")[1].get("title", "")) for name, path in scenario_files().items()}
+
+
+def find_scenario(given: Path) -> Path:
+    """Return the path of a scenario that is given by its path or, if it is one of `scenario_files`, by its name.
+
+    Raises
+    ------
+    BristleError
+        If a name, without folder and suffix, is neither a file nor such a scenario.
+    """
+    if given.is_file() or given.name != str(given) or given.suffix:
+        return given
+    known = scenario_files()
+    if given.name not in known:
+        near = suggest(given.name, list(known))
+        raise BristleError(f"scenario '{given}': no such file or name{near}; give a path or one of: {', '.join(known)}")
+    return known[given.name]
 
 
 def _choices(what: str, selector: str) -> dict[str, str]:

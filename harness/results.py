@@ -38,7 +38,7 @@ def refuse_strange(target: Path) -> None:
     if ours and (inside := list(target.iterdir())):
         ours = (target / "result.json").is_file() and all(p.is_file() and p.suffix in RESULT_SUFFIXES for p in inside)
     if not ours:
-        raise BristleError(f"{target}: exists and is no result folder of bristle; choose another --out or rename the scenario")
+        raise BristleError(f"{target}: exists and is no result folder of bristle; write elsewhere or rename the scenario")
 
 
 def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:

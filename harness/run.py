@@ -23,7 +23,7 @@ from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import Bus, Trace, simulate
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
 from bristle.harness.plan import validation as validation_bus
-from bristle.harness.scenario import Loaded, load
+from bristle.harness.scenario import load
 from bristle.harness.validation import Validation, given_parameters, identification_data, identified_model, lean_fmus, validate
 
 Array = NDArray[np.float64]
@@ -49,6 +49,7 @@ class Run:
 
     result: dict[str, Any]
     folder: Path
+    findings: tuple[str, ...] = ()  # what was found in the record and repaired, one line each
 
     @property
     def passed(self) -> bool:
@@ -71,6 +72,40 @@ class _Clock:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
 
 
+@dataclass
+class Checked:
+    """A scenario that is read and checked against its FMUs and its record, and the output folder it is run into."""
+
+    setup: Setup
+    out: Path
+    options: Options
+    bus: Bus
+    lean: Mapping[str, Fmu]
+    clock: _Clock
+
+
+def check(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Checked:
+    """Read and check a scenario and all that it names, building FMUs that are new; `execute` runs it.
+
+    Raises
+    ------
+    BristleError
+        One line; nothing is written then, and what was there stays.
+    """
+    options, clock, tell = options or Options(), _Clock(), progress or _no_progress
+    loaded = load(path, options.overrides, options.seed)
+    with output_folder(out):
+        results.refuse_strange(out / loaded.name)
+        with clock.stage("FMUs (built only if new)"):
+            tell("building FMUs", 0, 0)
+            setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))
+            lean = {}
+            if setup.scenario.validation is not None:
+                lean = lean_fmus()
+                validation_bus(setup)
+            return Checked(setup, out, options, identification(setup), lean, clock)
+
+
 def run(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Run:
     """Run a scenario and write its result folder `out/<scenario>`.
 
@@ -79,24 +114,16 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
     BristleError
         One line; nothing is written then, and what was there stays.
     """
-    options = options or Options()
-    loaded = load(path, options.overrides, options.seed)
     with output_folder(out):
-        results.refuse_strange(out / loaded.name)
-        return _run(loaded, out, options, progress or (lambda stage, done, total: None))
+        return execute(check(path, out, options, progress), progress)
 
 
-def _run(loaded: Loaded, out: Path, options: Options, tell: Progress) -> Run:
-    """Run a scenario that is read and checked, into a folder that can be written."""
-    clock = _Clock()
-    with clock.stage("FMUs (built only if new)"):
-        tell("building FMUs", 0, 0)
-        setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))
-        lean = lean_fmus() if setup.scenario.validation is not None else {}
-        identification_bus = identification(setup)
+def execute(checked: Checked, progress: Progress | None = None) -> Run:
+    """Run a scenario that is checked, and write its result folder."""
+    setup, clock, tell = checked.setup, checked.clock, progress or _no_progress
     Thread(target=_load_drawing, daemon=True).start()
     with clock.stage("co-simulation"):
-        trace = _simulate(identification_bus, lambda done: tell("co-simulation", done, setup.steps))
+        trace = _simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps))
     with clock.stage("metrics"):
         view = _View(setup, trace)
         result = _measure(setup, trace, view)
@@ -104,13 +131,18 @@ def _run(loaded: Loaded, out: Path, options: Options, tell: Progress) -> Run:
     if setup.scenario.validation is not None and trace.failure is None:
         with clock.stage("validation: second record and fits"):
             tell("validation and fits", 0, 0)
-            validated = _validate(setup, result, view, lean)
+            validated = _validate(setup, result, view, checked.lean)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
     _judge(result, setup)
     with clock.stage("report"):
         tell("report", 0, 0)
-        files = _files(setup, result, view, validated, clock, options.full)
-    return Run(result, results.write(out, loaded.name, files))
+        files = _files(setup, result, view, validated, clock, checked.options.full)
+    folder = results.write(checked.out, setup.loaded.name, files)
+    return Run(result, folder, () if setup.samples is None else setup.samples.findings)
+
+
+def _no_progress(stage: str, done: int, total: int) -> None:
+    pass
 
 
 def _load_drawing() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from bristle.common.table import Array
 from bristle.harness.scenario import Loaded
-from bristle.records import Layout, Record, load_record
+from bristle.records import Layout, Record, read_record
 from bristle.records.layout import layout_of
 
 STEP_TOLERANCE = 0.01  # fraction by which the scenario's step may differ from the record's sampling period
@@ -34,7 +34,7 @@ def read_samples(loaded: Loaded) -> Samples:
     scenario = loaded.scenario
     assert scenario.record is not None
     layout = _layout(loaded)
-    record = load_record(layout, loaded.beside(scenario.record.file))
+    record = read_record(layout, loaded.beside(scenario.record.file))
     if "step" in scenario.model_fields_set and abs(scenario.step - record.h) > STEP_TOLERANCE * record.h:
         raise loaded.error("step", f"{scenario.step:g} s", f"the record is sampled every {record.h:g} s; leave step out")
     count = len(record)

@@ -222,7 +222,7 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
     path : Path
         The TOML file.
     overrides : sequence of str
-        ``path=value`` as given to --set.
+        ``path=value`` as text.
     seed : int, optional
         Seed of the controller's reference.
 
@@ -238,7 +238,7 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         _override(tree, override)
     if seed is not None:
         if "record" in tree:
-            raise BristleError(f"{path}: --seed {seed}: a [record] has no reference to seed; leave --seed out")
+            raise BristleError(f"{path}: seed {seed}: a [record] has no reference to seed; leave the seed out")
         tree.setdefault("controller", {}).setdefault("parameters", {})["seed"] = seed
     notes = _new_record_keys(path, tree)
     try:
@@ -310,7 +310,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
     path, separator, text = override.partition("=")
     keys = [quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|([^."]+)', path.strip())]
     if not separator or not keys:
-        raise BristleError(f'--set {override}: not path=value; write for example --set plant.parameters.J="0.002 kg.m2"')
+        raise BristleError(f"override '{override}': not path=value; write for example plant.parameters.J=0.002 kg.m2")
     if len(keys) > 2 and keys[0] in PARAMETER_PARTS and keys[1] == "parameters":
         keys = [*keys[:2], ".".join(keys[2:])]
     node: Any = tree
@@ -318,7 +318,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
         last = depth == len(keys) - 1
         if isinstance(node, list):
             if not key.isdigit() or int(key) >= len(node):
-                raise BristleError(f"--set {override}: '{key}' is no index of a list of {len(node)}; count from 0")
+                raise BristleError(f"override '{override}': '{key}' is no index of a list of {len(node)}; count from 0")
             if last:
                 node[int(key)] = _parse(text.strip())
             node = node[int(key)]
@@ -327,4 +327,4 @@ def _override(tree: dict[str, Any], override: str) -> None:
                 node[key] = _parse(text.strip())
             node = node.setdefault(key, {})
         else:
-            raise BristleError(f"--set {override}: '{'.'.join(keys[:depth])}' is a value, not a table; shorten the path")
+            raise BristleError(f"override '{override}': '{'.'.join(keys[:depth])}' is a value, not a table; shorten the path")

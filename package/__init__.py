@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from bristle.common.arguments import as_choice, as_path, as_paths, as_whole_number
 from bristle.common.errors import BristleError
 from bristle.result import Result
 
@@ -30,6 +31,9 @@ __all__ = [
 ]  # fmt: skip
 
 PathLike = str | os.PathLike[str]
+PARTS = ("plant", "observer", "controller")  # FMUs that can be built
+KINDS: tuple[Literal["native", "python"], ...] = ("native", "python")  # of FMUs
+FMI_VERSIONS = (2, 3)
 
 _LATER = {name: "bristle.diagnosis" for name in ("Diagnosis", "Model", "Record")}  # class: where it is when it is asked for
 
@@ -88,25 +92,32 @@ def run(
         If the scenario cannot be read, or an FMU cannot be built or refuses to start. Nothing is written then. A simulation that
         diverges is no error: its verdict is ``"fail"``.
     """
-    import json
-
+    from bristle.harness.catalogue import find_scenario
     from bristle.harness.run import Options
     from bristle.harness.run import run as run_scenario
 
-    given = tuple(f"{path}={v if isinstance(v, str) else json.dumps(v)}" for path, v in (overrides or {}).items())
-    done = run_scenario(_scenario_path(scenario), _path("out", out), Options(fmi, kind, given, seed))
+    path, folder = find_scenario(as_path("scenario", scenario)), as_path("out", out)
+    chosen = seed if seed is None else as_whole_number("seed", seed)
+    options = Options(as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS), _overrides(overrides), chosen)
+    done = run_scenario(path, folder, options)
     return Result(done.result, done.folder)
 
 
-def _scenario_path(scenario: PathLike) -> Path:
-    """Return a path, or that of the scenario of this name that comes with the library."""
-    path = _path("scenario", scenario)
-    if path.exists() or path.name != str(scenario) or path.suffix:
-        return path
-    from importlib.resources import files
+def _overrides(given: object) -> tuple[str, ...]:
+    """Return overrides as the texts path=value."""
+    import json
 
-    shipped = Path(str(files("bristle.scenarios") / f"{path}.toml"))
-    return shipped if shipped.is_file() else path
+    if given is None:
+        return ()
+    if not isinstance(given, Mapping):
+        raise BristleError(f'overrides is a {type(given).__name__}; give a dict such as {{"plant.parameters.J": "0.002 kg.m2"}}')
+    texts = []
+    for path, value in given.items():
+        try:
+            texts.append(f"{path}={value if isinstance(value, str) else json.dumps(value)}")
+        except TypeError:
+            raise BristleError(f"overrides[{path!r}] is a {type(value).__name__}; give text, a number or a list") from None
+    return tuple(texts)
 
 
 def build(
@@ -147,7 +158,10 @@ def build(
     """
     from bristle.harness.catalogue import build_file
 
-    return build_file(part, _path("out", out), fmi=fmi, kind=kind, law=law, method=method)
+    return build_file(
+        as_choice("part", part, PARTS), as_path("out", out),
+        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS), law=law, method=method,
+    )  # fmt: skip
 
 
 def diagnose(
@@ -196,36 +210,28 @@ def diagnose(
     if choose is not None:
         effect(choose)
     if out is not None:
-        check_places(_path("out", out), [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))] + files)
+        check_places(as_path("out", out), [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))] + files)
     known = _model(model, fmu)
     if files:
         records = diagnosis.load_records(known, files)
     if fmu is None:
         found = diagnosis.diagnose(known, records, progress=progress)
     else:
-        found = diagnosis.diagnose_fmu(_path("fmu", fmu), known, records, progress=progress)
+        found = diagnosis.diagnose_fmu(as_path("fmu", fmu), known, records, progress=progress)
     if out is not None:
         diagnosis.write(found, Path(out), choose)
     return found
-
-
-def _path(name: str, given: object) -> Path:
-    """Return a path that was given as an argument."""
-    if not isinstance(given, (str, os.PathLike)) or not os.fspath(given):
-        raise BristleError(f"{name} is {given!r}; give a path")
-    return Path(given)
 
 
 def _split(data: object) -> tuple[list[Path], list[Record]]:
     """Return measured files, or records that are loaded already: one of both lists is empty."""
     from bristle.diagnosis import Record
 
-    one = isinstance(data, (str, os.PathLike, Record)) or not isinstance(data, Iterable)
-    items: list[object] = [data] if one else list(data)  # type: ignore[call-overload]  # iterable, as was asked for
+    items: list[object] = list(data) if isinstance(data, Iterable) and not isinstance(data, (str, os.PathLike)) else [data]
     records = [item for item in items if isinstance(item, Record)]
     if records and len(records) < len(items):
         raise BristleError("data mixes files and loaded records; load all with load_records, so that they get one sampling period")
-    return ([] if records else [_path(f"data[{k}]", item) for k, item in enumerate(items)]), records
+    return ([] if records else as_paths("data", items)), records
 
 
 def _model(model: PathLike | Model | None, fmu: PathLike | None = None) -> Model:
@@ -237,10 +243,10 @@ def _model(model: PathLike | Model | None, fmu: PathLike | None = None) -> Model
     if isinstance(model, diagnosis.Model):
         return model
     if model is not None:
-        raise BristleError(f"model is {model!r}; give the path of a model file or a Model")
+        raise BristleError(f"model is a {type(model).__name__}; give the path of a model file or a Model")
     if fmu is None:
         raise BristleError("nothing to diagnose: model is None; give a model file, a Model, or fmu=PLANT.fmu")
-    return diagnosis.fmu_model(_path("fmu", fmu))
+    return diagnosis.fmu_model(as_path("fmu", fmu))
 
 
 def load_model(file: PathLike) -> Model:
@@ -311,4 +317,4 @@ def load_records(model: PathLike | Model, files: PathLike | Sequence[PathLike]) 
     """
     from bristle import diagnosis
 
-    return diagnosis.load_records(_model(model), _split(files)[0])
+    return diagnosis.load_records(_model(model), as_paths("files", files))

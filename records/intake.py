@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bristle.common.arguments import as_paths
 from bristle.common.errors import BristleError
 from bristle.common.table import Array, read_columns, si_column
 from bristle.records.clock import clock, increasing, one_rate, period_of
 from bristle.records.layout import Layout
-from bristle.records.record import COLUMN_NAMES, Raw, Record, must_be_path, vectors
+from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
 from bristle.records.sensor import MOTIONLESS_STEPS, compare_resolution, must_move, repaired, report_steps
 
 SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30  # SI: no rig gives a smaller or larger value, and the square of one is not finite
@@ -51,7 +51,7 @@ class Requirements:
 AS_RECORDED = Requirements()
 
 
-def load_record(layout: Layout, path: Path | str) -> Record:
+def read_record(layout: Layout, path: Path | str) -> Record:
     """Read one measured file; samples stay as they are, only an uneven time is resampled.
 
     Parameters
@@ -71,11 +71,11 @@ def load_record(layout: Layout, path: Path | str) -> Record:
     BristleError
         One line: what, where, what is allowed, what to do.
     """
-    [record] = load_records(layout, path)
+    [record] = read_records(layout, path)
     return record
 
 
-def load_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs: Requirements = AS_RECORDED) -> list[Record]:
+def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs: Requirements = AS_RECORDED) -> list[Record]:
     """Read measured files, check and repair them; return at least one record for each, all with the same sampling period.
 
     Parameters
@@ -88,19 +88,16 @@ def load_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
         What the records must have; `BristleError` says what one lacks.
     """
     _must_be_layout(layout)
-    given: object = paths
-    listed: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
+    listed = as_paths("paths", paths)
     if not listed:
         raise BristleError("no record is given; give at least one measured file")
-    for path in listed:
-        must_be_path(path, "record")
-    real = [Path(path).resolve() for path in listed]
+    real = [path.resolve() for path in listed]
     for k, path in enumerate(real):
         if path in real[:k]:
             raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
-    stems = [Path(path).stem for path in listed]
+    stems = [path.stem for path in listed]
     names = [f"{stem}#{stems[:i].count(stem) + 1}" if stems.count(stem) > 1 else stem for i, stem in enumerate(stems)]
-    raws = [Raw(name, str(path), *_read(layout, Path(path))) for name, path in zip(names, listed, strict=True)]
+    raws = [Raw(name, str(path), *_read(layout, path)) for name, path in zip(names, listed, strict=True)]
     return _records(layout, raws, needs)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -108,11 +107,6 @@ class Raw:
         """Leave out all other samples."""
         self.time, self.u, self.y = self.time[chosen], self.u[chosen], self.y[chosen]
         self.velocity = None if self.velocity is None else self.velocity[chosen]
-
-
-def must_be_path(path: object, what: str) -> None:
-    if not isinstance(path, str | os.PathLike):
-        raise BristleError(f"the path of a {what} is a {type(path).__name__}; give text or a Path")
 
 
 def vectors(name: object, *columns: ArrayLike | None) -> list[Array]:

@@ -6,11 +6,24 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bristle.common.errors import BristleError
+
+SCENARIO = """
+duration = "1 s"
+[plant]
+law = "modified"
+[observer]
+method = "bastin_gevers"
+[[checks]]
+name = "b moves"
+quantity = "estimates.b.moved_percent"
+min = 1
+"""
 
 _status = pytest.StashKey[int]()
 
@@ -44,6 +57,14 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    """A small scenario file that passes."""
+    path = tmp_path / "case.toml"
+    path.write_text(SCENARIO, encoding="utf-8")
+    return path
 
 
 @pytest.fixture

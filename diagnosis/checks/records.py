@@ -19,7 +19,7 @@ NEEDS = Requirements(LEAST_SAMPLES, LEAST_DURATION, SHORTEST_PERIOD, LONGEST_PER
 
 
 def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list[Record]:
-    """Read measured files as `bristle.records.load_records` does, with what a diagnosis needs.
+    """Read measured files as `bristle.records.read_records` does, with what a diagnosis needs.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list
         One line: what, where, what is allowed, what to do.
     """
     must_be_model(model)
-    return intake.load_records(model, paths, NEEDS)
+    return intake.read_records(model, paths, NEEDS)
 
 
 def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:

@@ -12,7 +12,7 @@ from bristle.plant.effects import effects
 from bristle.plant.friction import laws
 
 INPUT_KINDS = ("Real", "Float64", "Enumeration")  # of a start value that is a number
-ADVICE = "give a MODEL.toml beside --fmu"
+ADVICE = "give a model file beside the FMU"
 
 
 def fmu_model(path: Path) -> Model:

@@ -63,12 +63,12 @@ def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
     members = ", ".join(diagnosis.choices) or ", ".join(name for tie in diagnosis.ties for name in tie)
     if named := [name for name in names if name in _mates(diagnosis, choose)]:
         raise BristleError(
-            f"--choose {choose}: '{named[0]}' stands for it, and other effects were added to that; leave it out, "
+            f"chosen effect '{choose}': '{named[0]}' stands for it, and other effects were added to that; leave it out, "
             f"or give the model '{choose}' in [effects] and diagnose again"
         )
     if not members:
-        raise BristleError(f"--choose {choose}: there is no tie to choose from, the verdict is '{diagnosis.verdict}'; leave it out")
-    raise BristleError(f"--choose {choose}: not a member of the tie; choose one of: {members}")
+        raise BristleError(f"chosen effect '{choose}': the verdict is '{diagnosis.verdict}', there is no tie; leave it out")
+    raise BristleError(f"chosen effect '{choose}': not a member of the tie; choose one of: {members}")
 
 
 def _mates(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
@@ -230,7 +230,7 @@ def check_places(out: Path, inputs: Iterable[Path] = ()) -> None:
     places = {(Path(out) / name).resolve(): name for name in WRITTEN_FILES}
     for path in inputs:
         if Path(path).resolve() in places:
-            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder with --out")
+            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
     for place, name in places.items():
         if place.is_dir():
             raise BristleError(f"{out}: '{name}' in it is a folder, and a file of that name is to be written; move it away")

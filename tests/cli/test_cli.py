@@ -14,18 +14,9 @@ from pathlib import Path
 
 import pytest
 
-SCENARIO = """
-title = "For the command line"
-duration = "1 s"
-[plant]
-law = "modified"
-[observer]
-method = "bastin_gevers"
-[[checks]]
-name = "b moves"
-quantity = "estimates.b.moved_percent"
-min = 1
-"""
+from bristle.common.errors import BristleError
+from bristle.harness.catalogue import find_scenario
+
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -53,14 +44,6 @@ def cli(temporary: Path) -> Cli:
         return done
 
     return call
-
-
-@pytest.fixture
-def case(tmp_path: Path) -> Path:
-    """A scenario file that passes."""
-    path = tmp_path / "case.toml"
-    path.write_text(SCENARIO)
-    return path
 
 
 def test_all_pass_is_0(cli: Cli, case: Path, tmp_path: Path) -> None:
@@ -128,12 +111,32 @@ min = -1e9
     assert f"bristle: {result['notes'][0]}" == line
 
 
-def test_one_bad_scenario_does_not_stop_the_others(cli: Cli, case: Path, tmp_path: Path) -> None:
-    bad = tmp_path / "bad.toml"
-    bad.write_text("duration = 3")
-    done = cli("run", bad, case, "--out", tmp_path / "out")
-    one_line(done, "bad.toml")
-    assert done.stdout.split()[:2] == ["case", "pass"]
+def test_all_scenarios_are_checked_before_the_first_runs(cli: Cli, case: Path, tmp_path: Path) -> None:
+    """Paths, keys, and what only the FMUs can tell; all that are wrong are named."""
+    keys, fmus = tmp_path / "keys.toml", tmp_path / "fmus.toml"
+    keys.write_text("duration = 3")
+    fmus.write_text(case.read_text().replace("modified", "honey"))
+    done = cli("run", case, tmp_path / "nowhere.toml", keys, fmus, "--out", tmp_path / "out")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert [line.split(": ")[1] for line in done.stderr.splitlines()] == [str(tmp_path / "nowhere.toml"), str(keys), str(fmus)]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scenario_is_found_by_its_name(cli: Cli, case: Path, tmp_path: Path) -> None:
+    done = cli("run", "quick", "--out", tmp_path / "out", "--set", "duration=1 s", "--set", "checks.0.max_abs=1e9")
+    assert done.stdout.split()[0] == "quick"
+    assert (tmp_path / "out" / "quick" / "report.html").is_file()
+    one_line(cli("run", "quik", "--out", tmp_path / "out"), "scenario 'quik'", "did you mean 'quick'", "give a path or one of")
+
+
+def test_a_scenario_of_a_plugin_folder_is_found_by_its_name(monkeypatch: pytest.MonkeyPatch, case: Path, tmp_path: Path) -> None:
+    (tmp_path / "scenarios").mkdir()
+    mine = case.rename(tmp_path / "scenarios" / "mine.toml")
+    monkeypatch.setenv("BRISTLE_PLUGINS", str(tmp_path))
+    assert find_scenario(Path("mine")) == mine
+    mine.rename(tmp_path / "scenarios" / "quick.toml")
+    with pytest.raises(BristleError, match=f"{tmp_path}/scenarios/quick.toml: a scenario is called 'quick' already"):
+        find_scenario(Path("quick"))
 
 
 def test_debug_shows_the_traceback_and_still_exits_with_2(cli: Cli, tmp_path: Path) -> None:
@@ -184,7 +187,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(number: int, stage: str, ca
     if stage == "fits":
         long = ["--set", "duration=300 s", "--set", "plant.law=lugre", "--set", "validation.duration=100 s"]
     if stage == "child":
-        case.write_text(SCENARIO.replace('law = "modified"', 'fmu = "foreign.fmu"'))
+        case.write_text(case.read_text().replace('law = "modified"', 'fmu = "foreign.fmu"'))
         build("plant", tmp_path / "foreign.fmu", law="modified")
     environment = {**os.environ, "TMPDIR": str(temporary)}
     running = subprocess.Popen(command(["run", case, "--out", out, *long]), stderr=subprocess.PIPE, text=True, env=environment)

@@ -121,7 +121,7 @@ def test_a_member_of_a_tie_is_chosen(call: Call, asked: dict[str, Any], tmp_path
 def test_a_choice_that_cannot_be_costs_no_report(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
     asked["case"] = "tie"
     found = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path, "--choose", "gravity")
-    one_line(found, "--choose gravity", "bias, asymmetric_coulomb", str(tmp_path))
+    one_line(found, "chosen effect 'gravity'", "bias, asymmetric_coulomb", str(tmp_path))
     assert "report.html" in found[1]
     assert sorted(os.listdir(tmp_path)) == ["diagnosis.json", "report.html"]
 

@@ -39,5 +39,5 @@ def test_diagnose_checks_records_that_were_made_by_hand(model, message):
 def test_a_model_is_a_model(message, tmp_path):
     assert "the model is a str; give what load_model" in message(lambda: records_from_arrays("model.toml", []))
     assert "the model is a str; give what load_model" in message(lambda: load_records("model.toml", tmp_path / "r.csv"))
-    assert "the path of a model file is a NoneType" in message(lambda: load_model(None))
+    assert "model is None; give a path" in message(lambda: load_model(None))
     assert "model: is a NoneType; give a dict" in message(lambda: Model.from_dict(None))

@@ -40,7 +40,7 @@ PUBLIC = {
     ],
     "bristle.plant.servo": ["servo", "servo_program"],
     "bristle.plant.wording": ["ROTARY", "Wording"],
-    "bristle.records": ["Column", "Layout", "Record", "Requirements", "load_record", "load_records", "records_from_arrays"],
+    "bristle.records": ["Column", "Layout", "Record", "Requirements", "read_record", "read_records", "records_from_arrays"],
     "bristle.result": ["Result"],
 }  # fmt: skip
 OFFERED_TO_USERS = ("bristle", "bristle.diagnosis", "bristle.fmus", "bristle.records")  # their docstrings have to be complete

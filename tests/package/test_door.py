@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,24 +18,6 @@ from bristle.plant.effects import effects
 ROOT = Path(__file__).resolve().parents[2]
 HIDDEN = ROOT / "scenarios" / "hidden" / "07"
 DATA = [HIDDEN / "a.npz", HIDDEN / "b.npz"]
-SCENARIO = """
-duration = "1 s"
-[plant]
-law = "modified"
-[observer]
-method = "bastin_gevers"
-[[checks]]
-name = "b moves"
-quantity = "estimates.b.moved_percent"
-min = 1
-"""
-
-
-@pytest.fixture
-def scenario(tmp_path: Path) -> Path:
-    path = tmp_path / "small.toml"
-    path.write_text(SCENARIO, encoding="utf-8")
-    return path
 
 
 @pytest.fixture
@@ -45,12 +29,12 @@ def wrong_unit(tmp_path: Path) -> Path:
 
 
 def test_the_import_is_light():
-    """Nothing but the exceptions and the result class is imported before it is needed."""
+    """Nothing but exceptions, checks of arguments and the result class is imported before it is needed."""
     code = "import sys; before = {*sys.modules}; import bristle; print(*sorted({*sys.modules} - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = done.stdout.split()
     own = {name for name in loaded if name.split(".")[0] == "bristle"}
-    assert own == {"bristle", "bristle.common", "bristle.common.errors", "bristle.result"}
+    assert own == {"bristle", "bristle.common", "bristle.common.arguments", "bristle.common.errors", "bristle.result"}
     assert not {"numpy", "scipy", "casadi", "fmpy", "matplotlib", "pydantic"} & {*loaded}
     assert len(loaded) < 60
 
@@ -81,13 +65,13 @@ def test_sub_packages_keep_their_names():
     assert done.stdout.startswith("True <module 'bristle.diagnosis'")
 
 
-def test_a_scenario_runs_and_its_result_is_what_was_written(scenario, tmp_path):
-    result = bristle.run(scenario, tmp_path / "out")
+def test_a_scenario_runs_and_its_result_is_what_was_written(case, tmp_path):
+    result = bristle.run(case, tmp_path / "out")
     assert result.passed
-    assert result.folder == tmp_path / "out" / "small"
+    assert result.folder == tmp_path / "out" / "case"
     written = json.loads((result.folder / "result.json").read_text(encoding="utf-8"))
     assert result.verdict == written["verdict"] == "pass"
-    assert result.scenario == "small"
+    assert result.scenario == "case"
     assert result.estimates["b"]["final"] == written["estimates"]["b"]["final"]
     assert result.checks[0]["name"] == "b moves"
     assert result.report.is_file()
@@ -95,23 +79,23 @@ def test_a_scenario_runs_and_its_result_is_what_was_written(scenario, tmp_path):
     assert signals["time"][0] == 0.0
     assert {column.shape for column in signals.values()} == {signals["u"].shape}
     assert np.all(np.diff(signals["time"]) > 0)
-    assert repr(result) == f"<Result 'small': pass, 1 of 1 checks pass, in {str(result.folder)!r}>"
+    assert repr(result) == f"<Result 'case': pass, 1 of 1 checks pass, in {str(result.folder)!r}>"
     assert "b moves" in str(result)
 
 
-def test_overrides_replace_values_of_the_file(scenario, tmp_path):
-    text = bristle.run(scenario, tmp_path / "a", overrides={"plant.parameters.J": "2 g.m2", "duration": "0.5 s"})
+def test_overrides_replace_values_of_the_file(case, tmp_path):
+    text = bristle.run(case, tmp_path / "a", overrides={"plant.parameters.J": "2 g.m2", "duration": "0.5 s"})
     with pytest.raises(bristle.BristleError, match="has no unit"):
-        bristle.run(scenario, tmp_path / "b", overrides={"plant.parameters.J": 0.002})
-    plain = bristle.run(scenario, tmp_path / "c", overrides={"duration": "0.5 s"})
+        bristle.run(case, tmp_path / "b", overrides={"plant.parameters.J": 0.002})
+    plain = bristle.run(case, tmp_path / "c", overrides={"duration": "0.5 s"})
     assert text.data["duration_s"] == 0.5
-    flag = bristle.run(scenario, tmp_path / "d", overrides={"duration": "0.5 s", "checks.0.min": 1e9})
+    flag = bristle.run(case, tmp_path / "d", overrides={"duration": "0.5 s", "checks.0.min": 1e9})
     assert not flag.passed
     assert text.estimates["b"]["true"] == pytest.approx(plain.estimates["b"]["true"] / 2)
 
 
-def test_another_seed_gives_another_run(scenario, tmp_path):
-    one, other = (bristle.run(scenario, tmp_path / str(seed), seed=seed) for seed in (1, 2))
+def test_another_seed_gives_another_run(case, tmp_path):
+    one, other = (bristle.run(case, tmp_path / str(seed), seed=seed) for seed in (1, 2))
     assert one.estimates["b"]["final"] != other.estimates["b"]["final"]
 
 
@@ -147,6 +131,7 @@ def test_a_diagnosis_takes_paths_and_loaded_objects(wrong_unit, tmp_path):
     [
         ([DATA[0], 3], "data[1] is 3"),
         (3, "data[0] is 3"),
+        ([{}], "data[0] is a dict"),
         ([None], "data[0] is None"),
         ("mixed", "data mixes files and loaded records"),
     ],
@@ -155,6 +140,61 @@ def test_data_of_a_wrong_type_are_refused(wrong_unit, message, data, part):
     """Nothing is left out without a word."""
     given = [bristle.load_records(wrong_unit, DATA)[0], str(DATA[1])] if data == "mixed" else data
     assert part in message(lambda: bristle.diagnose(wrong_unit, given))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"fmi": "2"}, "fmi is '2'; choose one of: 2, 3"),
+        ({"fmi": 2.0}, "fmi is 2.0"),
+        ({"kind": "c"}, "kind is 'c'; choose one of: 'native', 'python'"),
+        ({"seed": "a"}, "seed is 'a'; give a whole number"),
+        ({"seed": 1.5}, "seed is 1.5"),
+        ({"seed": True}, "seed is True"),
+        ({"overrides": 3}, "overrides is a int"),
+        ({"overrides": {"duration": object()}}, "overrides['duration'] is a object"),
+        ({"overrides": {"": "1 s"}}, "override '=1 s'"),
+        ({"scenario": 3}, "scenario is 3; give a path"),
+        ({"out": None}, "out is None; give a path"),
+    ],
+)
+def test_a_wrong_argument_of_run_is_one_line_that_names_it(case, tmp_path, message, arguments, named):
+    given = {"scenario": case, "out": tmp_path / "out"} | arguments
+    assert named in message(lambda: bristle.run(**given))
+
+
+def test_numbers_of_numpy_are_whole_numbers_and_name_a_seed(case, tmp_path):
+    assert bristle.run(case, tmp_path, seed=np.int64(3)).data["overrides"] == ["controller.parameters.seed=3"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"part": 3}, "part is 3; choose one of: 'plant'"),
+        ({"part": "all"}, "part is 'all'"),
+        ({"out": 3}, "out is 3; give a path"),
+        ({"fmi": "3"}, "fmi is '3'"),
+    ],
+)
+def test_a_wrong_argument_of_build_is_one_line_that_names_it(tmp_path, message, arguments, named):
+    assert named in message(lambda: bristle.build(**({"part": "controller", "out": tmp_path} | arguments)))
+
+
+def test_records_are_no_files(wrong_unit, message):
+    [record] = bristle.load_records(wrong_unit, DATA[0])
+    assert message(lambda: bristle.load_records(wrong_unit, [record])) == "files[0] is a Record; give a path, as text or Path"
+    assert "model is a int" in message(lambda: bristle.load_model(3))
+
+
+def test_no_error_of_the_library_speaks_of_options_of_the_command_line():
+    """Whoever calls a function has none; the command line alone may name them."""
+    rooms = ("common", "model", "plant", "observer", "records", "fmus", "harness", "diagnosis", "package")
+    option, found = re.compile(r"(?<![\w-])--[a-z]"), []
+    for path in (path for room in rooms for path in (ROOT / room).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and "rror" in ast.unparse(node.func):
+                found += [f"{path}:{node.lineno}" for text in map(ast.unparse, node.args) if option.search(text)]
+    assert not found
 
 
 def test_one_record_is_loaded(wrong_unit):

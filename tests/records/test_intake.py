@@ -15,7 +15,7 @@ from bristle.records.intake import must_show
 from bristle.records.layout import LayoutTable, layout_of
 
 NEEDS = Requirements(samples=200, duration=2.0, shortest_period=1e-5, longest_period=0.1, identification=True)
-load_records = partial(records.load_records, needs=NEEDS)
+read_records = partial(records.read_records, needs=NEEDS)
 records_from_arrays = partial(records.records_from_arrays, needs=NEEDS)
 H = 1e-3
 N = 6000
@@ -102,7 +102,7 @@ def test_files_in_their_own_units(tree, tmp_path):
         (tmp_path / folder).mkdir()
         table = np.column_stack([t * 1e3, -u * 1e3, np.floor(y / STEP)])
         np.savetxt(tmp_path / folder / "run.csv", table, delimiter=",", header="t,u,theta", comments="", fmt="%.12g")
-    records = load_records(layout, [tmp_path / "one" / "run.csv", tmp_path / "two" / "run.csv"])
+    records = read_records(layout, [tmp_path / "one" / "run.csv", tmp_path / "two" / "run.csv"])
     assert [r.name for r in records] == ["run#1", "run#2"]
     for record, (_, u, y) in zip(records, runs.values(), strict=True):
         assert record.findings == ()
@@ -308,26 +308,26 @@ def test_an_output_as_white_as_noise_that_follows_the_input_is_motion(tree):
 
 
 def test_no_record_and_wrong_entries(layout, message, tmp_path):
-    assert "no record" in message(lambda: load_records(layout, []))
+    assert "no record" in message(lambda: read_records(layout, []))
     assert "no record" in message(lambda: records_from_arrays(layout, []))
     for entry in (("a", [0.0], [0.0]), 1, "abcd"):
         assert "is not (name, time, u, y)" in message(lambda entry=entry: records_from_arrays(layout, [entry]))
     assert "the records are no list" in message(lambda: records_from_arrays(layout, None))
     assert "the layout is a str; give a Layout" in message(lambda: records_from_arrays("model.toml", []))
-    assert "the layout is a str; give a Layout" in message(lambda: load_records("model.toml", tmp_path / "r.csv"))
+    assert "the layout is a str; give a Layout" in message(lambda: read_records("model.toml", tmp_path / "r.csv"))
     t, u, y = motion()
     assert "b: is the same as a" in message(lambda: records_from_arrays(layout, [("a", t, u, y), ("b", t, u, y)]))
     assert "input is not an array of numbers" in message(lambda: records_from_arrays(layout, [("a", t, u * 1j, y)]))
     np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,torque,theta", comments="")
-    text = message(lambda: load_records(layout, [tmp_path / "r.csv"]))
+    text = message(lambda: read_records(layout, [tmp_path / "r.csv"]))
     assert "r.csv: input: no column 'u'" in text
     assert "t, torque, theta" in text
 
 
 def test_arguments_of_another_kind_are_one_line(layout, message):
     t, u, y = motion()
-    for wrong in ([3], 3, [None], None):
-        assert "the path of a record is a " in message(lambda wrong=wrong: load_records(layout, wrong))
+    for wrong, named in (([3], "paths[0] is 3"), (3, "paths is 3"), (["", None], "paths[0] is ''"), (None, "paths is None")):
+        assert f"{named}; give a path" in message(lambda wrong=wrong: read_records(layout, wrong))
     assert "record 3: its name is a int" in message(lambda: records_from_arrays(layout, [(3, t, u, y)]))
     assert "record a: two records have this name" in message(lambda: records_from_arrays(layout, [("a", t, u, y), ("a", t, y, u)]))
     assert "record a: holds no sample" in message(lambda: records_from_arrays(layout, [("a", [], [], [])]))
@@ -389,14 +389,14 @@ def test_a_record_made_by_hand_is_checked(layout, message):
 
 def test_one_path_is_a_list_of_one_and_none_counts_twice(layout, message, tmp_path):
     np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,u,theta", comments="")
-    [alone] = load_records(layout, tmp_path / "r.csv")
-    [same] = load_records(layout, str(tmp_path / "r.csv"))
+    [alone] = read_records(layout, tmp_path / "r.csv")
+    [same] = read_records(layout, str(tmp_path / "r.csv"))
     assert alone.name == same.name == "r"
     still = tmp_path / "still.csv"
     np.savetxt(still, np.column_stack(motion()) * [1, 1, 0], delimiter=",", header="t,u,theta", comments="")
-    assert message(lambda: load_records(layout, still)).startswith(f"record {still}: nothing moves")
+    assert message(lambda: read_records(layout, still)).startswith(f"record {still}: nothing moves")
     twice = [tmp_path / "r.csv", tmp_path / "." / "r.csv"]
-    assert "is given twice" in message(lambda: load_records(layout, twice))
+    assert "is given twice" in message(lambda: read_records(layout, twice))
 
 
 # -- samples ---------------------------------------------------------------------------------------------------------------
@@ -568,8 +568,8 @@ def test_an_uneven_time_gives_the_same_record_to_all(layout, tmp_path):
     t, u, y = motion()
     uneven = t + 0.1 * H * np.sin(1.7 * np.arange(N))
     np.savez(tmp_path / "r.npz", t=uneven, u=u, theta=y)
-    alone = records.load_record(layout, tmp_path / "r.npz")
-    [found] = load_records(layout, tmp_path / "r.npz")
+    alone = records.read_record(layout, tmp_path / "r.npz")
+    [found] = read_records(layout, tmp_path / "r.npz")
     assert alone.resampled
     assert alone.h == found.h
     assert alone.findings == found.findings
@@ -585,14 +585,14 @@ def test_a_velocity_besides_the_position_is_treated_alike(tree, tmp_path, messag
     uneven = t + 0.1 * H * np.sin(1.7 * np.arange(N))
     columns = {"t": uneven, "u": u, "theta": y, "v": v * 60 / (2 * np.pi)}
     np.savez(tmp_path / "r.npz", **columns)
-    record = records.load_record(layout, tmp_path / "r.npz")
+    record = records.read_record(layout, tmp_path / "r.npz")
     assert record.velocity is not None
     assert len(record.velocity) == len(record.y)
     np.testing.assert_allclose(record.velocity, np.interp(record.time, uneven, v), atol=2e-3)
     np.savez(tmp_path / "hole.npz", **columns | {"v": np.where(np.arange(N) == 70, np.nan, v)})
-    assert "velocity is not finite at sample 70" in message(lambda: records.load_record(layout, tmp_path / "hole.npz"))
+    assert "velocity is not finite at sample 70" in message(lambda: records.read_record(layout, tmp_path / "hole.npz"))
     np.savez(tmp_path / "end.npz", **columns | {"v": np.where(np.arange(N) > N - 4, np.nan, v)})
-    assert "and 3 at the end are not finite" in records.load_record(layout, tmp_path / "end.npz").findings[0]
+    assert "and 3 at the end are not finite" in records.read_record(layout, tmp_path / "end.npz").findings[0]
 
 
 def test_records_need_no_diagnosis():
