@@ -83,7 +83,7 @@ def amplification(seeds: Sequence[int]) -> None:
                 print(f"| {wrong}, {plant}, order {order} | {' | '.join(cells)} |", flush=True)
 
 
-def wandering(seeds: Sequence[int]) -> None:
+def error_of_b(seeds: Sequence[int]) -> None:
     """Print the error of the b of step 1 while step 2 runs (set S, order 1, after 100 s)."""
     program = observer_program("two_step")
     rms, largest = [], []
@@ -110,7 +110,7 @@ def main() -> int:
         print(text, flush=True)
         results.append(good)
     amplification(seeds)
-    wandering(seeds)
+    error_of_b(seeds)
     return 0 if all(results) else 1
 
 

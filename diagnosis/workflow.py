@@ -37,7 +37,7 @@ def diagnose(
     progress : function, optional
         Called with a text and the fraction done.
     options : SearchOptions, optional
-        Of the search; its progress is told to `progress`.
+        Of the search; its progress is reported to `progress`.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
 
 
 def teller(progress: Progress | None) -> Progress:
-    """Return what progress is told to, if anybody; raise `BristleError` if that is no function."""
+    """Return what progress is reported to, if anything; raise `BristleError` if that is no function."""
     if not (progress is None or callable(progress)):
         raise BristleError(f"progress is a {type(progress).__name__}; give a function of a text and the fraction done, or None")
     return progress or (lambda text, fraction: None)

@@ -101,10 +101,10 @@ def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: 
     live = np.flatnonzero(response.weight > 0)
     rng = np.random.default_rng(2)
     signs = np.concatenate([np.ones((1, len(live))), rng.choice([-1.0, 1.0], size=(SIGN_DRAWS, len(live)))])
-    told, tables = {}, bases(m, h, step)
+    details, tables = {}, bases(m, h, step)
     for view, (waves, facts) in _searched(response, m, rough, wording).items():
         tables[view] = np.column_stack([tables[view], waves]) if view in tables else waves
-        told[view] = facts
+        details[view] = facts
     found = {view: _predicted(response, basis, live, signs) for view, basis in tables.items()}
     strongest = np.max([draws[1:] for draws, _ in found.values()], axis=0)
     ps = {view: (chance(strongest, draws[0]), chance(draws[1:], draws[0])) for view, (draws, _) in found.items()}
@@ -114,7 +114,7 @@ def shares(response: ResidualResponse, m: Motion, h: float, step: float, rough: 
     whole = float(np.square(response.plain(response.rest[live][:, :, None], live)).mean())
     result = []
     for view, (_, power) in found.items():
-        result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], alone=ps[view][1], **told.get(view, {})))
+        result.append(Share(view, float(np.clip(power / whole, 0.0, 1.0)), ps[view][0], alone=ps[view][1], **details.get(view, {})))
     return [*sorted(result, key=lambda each: -each.share), _outlier_share(response, m, live)]
 
 

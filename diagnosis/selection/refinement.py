@@ -102,7 +102,7 @@ def shape_is_distinct(name: str, values: Mapping[str, float]) -> bool:
     return not effect.coupling or any(abs(values[k] - plain[k]) >= SHAPE_DISTANCE * abs(value - plain[k]) for k, value in starts)
 
 
-def mends_shape(dataset: Dataset, fitted: FittedModel, candidate: Candidate) -> bool:
+def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: Candidate) -> bool:
     """True if a candidate repeats as a small multiple of an effect's wave in the model, and acts on the same variables."""
     assert candidate.fit is not None
     views = set(find_effect(candidate.name).residual)

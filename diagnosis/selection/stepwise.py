@@ -20,7 +20,7 @@ from bristle.diagnosis.selection.refinement import (
     STRONG_SHARE,
     add_effect,
     backward_elimination,
-    mends_shape,
+    is_wave_harmonic,
     refit_shape,
     with_candidate,
 )
@@ -107,8 +107,8 @@ def decide(context: SearchContext, found: SearchRound, first_gain: float | None)
     if not found.convincing:
         return found.rejected(f"'{name}' {_why_rejected(found)}")
     if first_gain is not None:
-        mends = mends_shape(context.dataset, context.fitted, found.best)
-        if mends or not is_worth_adding(found, first_gain):
+        harmonic = is_wave_harmonic(context.dataset, context.fitted, found.best)
+        if harmonic or not is_worth_adding(found, first_gain):
             return found.rejected(f"'{name}' may only correct the shape of an effect that was added")
     if any(group(other) != group(name) for other in found.ties):
         return replace(found, decision="several effects explain the residual equally well", outcome="tie")

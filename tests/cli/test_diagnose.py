@@ -77,7 +77,7 @@ def one_line(found: tuple[int, str, str], *words: str) -> None:
         assert word in error
 
 
-def test_it_says_what_it_found_and_where_the_report_is(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+def test_it_prints_the_result_and_the_path_of_the_report(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
     code, said, error = call("diagnose", "m.toml", "--data", "a.csv", "--data", "b.csv", "--out", tmp_path / "out")
     assert (code, error) == (0, "")
     assert asked["arguments"] == ("model of m.toml", ["model of m.toml", "a.csv", "b.csv"])

@@ -88,7 +88,7 @@ def measured() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
     return run
 
 
-OFF = {"J": 0.012, "a2": 0.016, "Fc": 0.1}  # nominal values of the model that is to be mended
+OFF = {"J": 0.012, "a2": 0.016, "Fc": 0.1}  # nominal values of the model that is to be corrected
 SECONDS = 8.0
 
 

@@ -206,7 +206,7 @@ def not_identifiable() -> Diagnosis:
     scaled = replace(slow, measured=slow.measured * 5e-3, before=slow.before * 5e-3, after=slow.after * 5e-3)
     return replace(
         named(), verdict="not_identifiable",
-        statement=("The axis moved 3 mm at one speed: mass, viscous and dry friction cannot be told apart.",),
+        statement=("The axis moved 3 mm at one speed: mass, viscous and dry friction cannot be distinguished.",),
         effects=(), where=(), remains=Unexplained(False, None, 0.02), gap=Gap(4.0e-11, 4.0e-11, None, "m"),
         experiment="Move at three speeds or more, with reversals, over 50 mm.",
         base={

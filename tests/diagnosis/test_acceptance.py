@@ -23,7 +23,7 @@ from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, Assessment
 from bristle.diagnosis.selection.criterion import CERTAIN_LEVELS, SearchRound, beyond_doubt, is_large_enough, is_simpler_equal
 from bristle.diagnosis.selection.effect_size import acting_fall, fall
 from bristle.diagnosis.selection.null_distribution import Null
-from bristle.diagnosis.selection.refinement import add_effect, mends_shape, shape_is_distinct
+from bristle.diagnosis.selection.refinement import add_effect, is_wave_harmonic, shape_is_distinct
 from bristle.diagnosis.selection.start_values import SearchContext, SearchOptions, bristle_starts, joint_starts_of
 from bristle.diagnosis.selection.stepwise import (
     decide,
@@ -96,11 +96,11 @@ def test_a_further_effect_is_large_sure_and_holds_elsewhere(name, gain, size, ke
         ("gravity", "position_friction", 2.0, False), ("bias", "cogging", 2.0, False),
     ],
 )  # fmt: skip
-def test_a_multiple_of_a_wave_mends_its_form(has, name, periods, form):
+def test_a_multiple_of_a_wave_is_part_of_its_form(has, name, periods, form):
     dataset = SimpleNamespace(turn=2 * np.pi)
     fitted = SimpleNamespace(servo=SimpleNamespace(effects=(has,)), fit=SimpleNamespace(values={}))
     best = SimpleNamespace(name=name, fit=SimpleNamespace(values={f"{name}.periods": periods}))
-    assert mends_shape(dataset, fitted, best) is form
+    assert is_wave_harmonic(dataset, fitted, best) is form
 
 
 def test_the_search_sees_the_ends_of_the_range(case):
@@ -244,8 +244,10 @@ def test_bristles_as_stiff_as_those_of_every_model_are_no_effect(case):
     for name, factor, outdone in (("presliding", 1.01, True), ("bristle_damping", 1.01, True), ("presliding", 0.5, False)):
         assert servo.adds_no_bristles(name, {f"{name}.stiffness": factor * own}) is outdone
     assert not servo.adds_no_bristles("compliance", {"compliance.stiffness": 10 * own})
-    bent = replace(servo, rigid=False, free=tuple(replace(f, nominal=None) for f in servo.free))  # with such an effect already
-    assert not bent.adds_no_bristles("presliding", {"presliding.stiffness": 10 * own})
+    with_bristles = replace(
+        servo, rigid=False, free=tuple(replace(f, nominal=None) for f in servo.free)
+    )  # with such an effect already
+    assert not with_bristles.adds_no_bristles("presliding", {"presliding.stiffness": 10 * own})
 
 
 def test_bristles_also_begin_as_those_of_the_model(case):
@@ -288,12 +290,12 @@ def fitted(name, size, each, n=100):
     ("ahead", "falls", "spared"),
     [
         (0.02, (2.0, 3.0), True),  # 2 nats for one parameter more: chance
-        (0.05, (2.96, 3.0), True),  # 5 nats, as good as nothing in the error, and hardly to be told apart
+        (0.05, (2.96, 3.0), True),  # 5 nats, as good as nothing in the error, and hardly distinguishable
         (0.05, (2.5, 3.0), False),
-        (0.30, (2.96, 3.0), False),  # 30 nats are told apart
+        (0.30, (2.96, 3.0), False),  # 30 nats are distinguished
     ],
 )
-def test_of_two_effects_that_lower_the_error_alike_the_plainer_one_is_named(ahead, falls, spared):
+def test_of_two_effects_with_equal_error_the_one_with_fewer_parameters_is_named(ahead, falls, spared):
     """A step soon after the start is nearly a constant torque, and can be moved to where it gains a few nats more."""
     plain, rich = fitted("bias", 5, 1.0), fitted("disturbance_step", 6, 1.0 + ahead)
     rich.fit.score[:50] += 0.4  # where the step is not yet: what the difference is uncertain by
@@ -337,7 +339,7 @@ def test_the_form_of_an_effect_is_fitted_once_it_is_named(case, name):
         ("hard_stop.exponent=1.01", True),  # met now and then only: rounding does not grow
     ],
 )
-def test_a_contact_hardly_bent_has_no_other_form(name, far):
+def test_a_contact_whose_form_hardly_changes_keeps_its_usual_form(name, far):
     key, value = name.split("=")
     assert shape_is_distinct(key.split(".")[0], {key: float(value)}) is far
 

@@ -58,12 +58,12 @@ def test_verdict_without_a_name(last: SearchRound, narrow: str, left: Unexplaine
         ({}, ()),
     ],
 )
-def test_records_that_tell_no_parameter(intervals: dict[str, tuple[float, float] | None], mute: tuple[str, ...]) -> None:
+def test_records_that_determine_no_parameter(intervals: dict[str, tuple[float, float] | None], mute: tuple[str, ...]) -> None:
     middle = {name: sum(ends) / 2 if ends else 0.1 for name, ends in intervals.items()}
     assert unidentified_parameters({name: Estimate(middle[name], "1", ends) for name, ends in intervals.items()}) == mute
 
 
-def test_what_ends_at_a_bound_is_not_told() -> None:
+def test_an_estimate_at_a_bound_is_unidentified() -> None:
     plain = {"J": Estimate(0.05, "kg.m2", (-0.02, 0.12)), "Fc": Estimate(0.5, "N.m", (0.49, 0.51), at_bound=True)}
     assert unidentified_parameters(plain) == ("J", "Fc")
 

@@ -83,7 +83,7 @@ def test_the_gap_shrinks_on_segments_that_were_kept_from_the_search(cogging):
     assert np.mean(errors[0] ** 2) > 20 * np.mean(errors[1] ** 2)
 
 
-def test_it_says_where_the_gap_lived(cogging):
+def test_it_reports_the_view_of_the_gap(cogging):
     strongest = next(view for view in cogging.where if view.view != OUTLIERS)  # which are off depends on where it went
     assert strongest.view == "theta"
     assert strongest.label == "7 in a turn"

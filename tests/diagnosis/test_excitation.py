@@ -146,9 +146,9 @@ def test_little_was_recorded(model):
 def test_records_beside_each_other_have_caveats(tree, model):
     t, u, y = swing()
     overlap, begin = "times of the records overlap", "position 0 is assumed at the beginning of each record"
-    for second, told in ((t + 41.0, False), (t, True), (t + 20.0, True)):
+    for second, reported in ((t + 41.0, False), (t, True), (t + 20.0, True)):
         found = excitation(model, records_from_arrays(model, [("a", t, u, y), ("b", second, u, -y)]))
-        assert has(found, overlap) is told
+        assert has(found, overlap) is reported
         assert not has(found, begin)
     tree["output"] |= {"kind": "velocity", "unit": "rad/s"}
     speeds = Model.from_dict(tree)

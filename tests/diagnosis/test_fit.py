@@ -50,7 +50,7 @@ def test_starts_from_data_lead_to_the_truth(case, name):
         assert found.fit.values[key] == pytest.approx(value, rel=0.03), key
 
 
-def test_a_step_that_promises_much_is_shortened_until_it_keeps_some_of_it(case):
+def test_a_step_with_a_large_predicted_gain_is_shortened_until_it_achieves_some(case):
     """From the starts of this one every full step fails; given up there, the share of the load would stay where it began."""
     given = {"share": 0.4, "stiffness": 60.0, "damping": 0.02}
     found = joined(case("compliance", **given), "compliance").fit
@@ -83,7 +83,7 @@ def test_the_likelihood_is_highest_where_the_refit_ends(case):
     assert min(slack) > -0.1
 
 
-def test_a_refit_comes_home_from_afar(case):
+def test_a_refit_from_far_off_reaches_the_optimum(case):
     plain = case(None)
     best = plain.base.fit
     away = {**best.values, "J": 0.02, "a2": 0.06, "coulomb.Fc": 0.05}
@@ -219,7 +219,7 @@ def test_what_switches_is_found_from_a_value_that_is_off(case):
 
 
 @pytest.fixture(scope="module")
-def rattling(case):
+def free_play(case):
     """A servo with backlash from a play and a stiffness that are far off, and what the records show of it."""
     backlash = case("backlash")
     free = (*backlash.base.fit.free, *free_parameters("backlash", {"share": 0.5, "play": 0.03, "stiffness": 50.0}, {}))
@@ -229,9 +229,9 @@ def rattling(case):
     return backlash, evaluate(backlash.base.problem, Point(simulator, free, values, backlash.base.fit.initial))
 
 
-def test_a_loose_load_is_found_from_a_play_and_a_stiffness_that_are_far_off(rattling):
+def test_a_load_with_free_play_is_found_from_a_wrong_play_and_stiffness(free_play):
     """Steps along derivatives keep the load at the side where it lay; laid anew in each segment, it leads to the truth."""
-    backlash, first = rattling
+    backlash, first = free_play
     steps = resume(under_own_noise(backlash.dataset, first), first)
     found = refit_load(steps, partial(under_own_noise, backlash.dataset))
     assert found.total > rescored(under_own_noise(backlash.dataset, found), steps).total + 100
@@ -240,9 +240,9 @@ def test_a_loose_load_is_found_from_a_play_and_a_stiffness_that_are_far_off(ratt
     assert refit_load(plain, partial(under_own_noise, backlash.dataset)) is plain  # nothing is loose there
 
 
-def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
+def test_a_load_at_the_wrong_end_of_its_play_is_placed_at_the_right_one(free_play):
     """No segment is the worse for it, and the likelihood comes near what it was."""
-    backlash, first = rattling
+    backlash, first = free_play
     problem = backlash.base.problem
     right = initialise_load(problem, first, 3)
     wrong = right.initial.copy()
@@ -255,8 +255,8 @@ def test_a_load_at_the_wrong_side_is_laid_at_the_right_one(rattling):
     assert again.values == right.values
 
 
-def test_steps_of_start_states_make_no_segment_worse(rattling):
-    backlash, first = rattling
+def test_steps_of_start_states_make_no_segment_worse(free_play):
+    backlash, first = free_play
     problem = backlash.base.problem
     after = refine_initial_states(problem, first, 3)
     assert np.all(after.score_at_initial >= first.score_at_initial)
@@ -323,20 +323,20 @@ def test_a_segment_whose_simulation_failed_is_no_perfect_one(case):
     np.testing.assert_array_equal(after[1:], before[1:])
 
 
-def test_what_the_model_can_do_by_itself_is_told(case):
+def test_parameters_collinear_with_an_effect_are_found(case):
     """Back EMF is viscous friction by another name; gravity is nothing else."""
     for name, others in (("back_emf", ("a2",)), ("gravity", ())):
         fit = joined(case(None), name).fit
         assert fit is not None
         place = [f.name for f in fit.free].index(f"{name}.constant" if name == "back_emf" else f"{name}.amplitude")
         assert fit.collinear_with(place) == others
-        for known in (0.0, -1e9, np.nan):  # what derivatives of a load that rattles come to
+        for known in (0.0, -1e9, np.nan):  # derivatives of a load that hits the ends of its play come to such values
             rounded = fit.information.copy()
             rounded[0, 0] = known
             assert replace(fit, information=rounded).collinear_with(place) == ()
 
 
-def test_a_motion_of_nothing_is_missed_and_no_error(case):
+def test_a_record_without_motion_has_a_relative_error_above_one(case):
     dataset, fit = case(None).dataset, case(None).base.fit
     pieces = tuple(replace(piece, measured=0 * piece.measured) for piece in dataset.segments.pieces)
     still = replace(dataset, segments=replace(dataset.segments, pieces=pieces))

@@ -64,7 +64,7 @@ def test_without_a_model_that_comes_near_the_fmu_nothing_is_named(model, records
 
 
 @pytest.mark.slow
-def test_what_the_fmu_has_is_not_named_and_its_wrong_parameter_is_told(tree, records):
+def test_effects_of_the_fmu_are_not_named_and_its_wrong_parameter_is_reported(tree, records):
     model = Model.from_dict(tree | {"effects": {"gravity": {"amplitude": 0.3, "phase": 0.0}}})
     off = SERVO | {"coulomb.Fc": 0.09, "gravity.amplitude": 0.3}
     fmu = obtain("plant", law="coulomb", effects=("gravity",), parameters=off)
@@ -81,12 +81,12 @@ def test_an_fmu_outside_the_bounds_of_the_model_is_followed_there(model, records
     assert found.model.parameters["J"] == pytest.approx(0.15, rel=0.01)
 
 
-def test_an_input_in_another_unit_is_told(model, records):
+def test_an_input_in_another_unit_is_reported(model, records):
     found = diagnose_fmu(obtain("plant", law="coulomb", parameters=SERVO | {"b": 0.5}), model, records())
     said(found, "is in V, that of the records in N.m", "given their numbers")
 
 
-def test_an_output_that_is_no_number_is_told_with_its_time(monkeypatch):
+def test_an_output_that_is_no_number_is_reported_with_its_time(monkeypatch):
     shown = iter([[0.1]] * 30)
     monkeypatch.setattr(_Replayer, "_shown", lambda self: next(shown, [np.nan]))
     play = Replay(Fmu(obtain("plant", law="coulomb")), 0.1, (), ("theta",), {})

@@ -44,7 +44,7 @@ def test_a_selector_is_read_by_the_names_the_fmu_gives_its_laws(tmp_path):
     assert fmu_model(renumbered).friction == "viscous"
 
 
-def test_what_says_too_little_is_refused_in_one_line(tmp_path):
+def test_an_unusable_fmu_is_refused_in_one_line(tmp_path):
     with pytest.raises(BristleError, match=r"no parameter 'J' to scale by; give a MODEL\.toml"):
         fmu_model(obtain("controller"))
     with pytest.raises(BristleError, match="No such file"):

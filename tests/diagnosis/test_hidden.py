@@ -65,7 +65,7 @@ def test_the_seal_is_intact_and_a_changed_answer_breaks_it(scorer: ModuleType, t
         scorer.open_answers(tmp_path)
 
 
-def test_every_effect_is_hidden_somewhere(answers: dict[str, Any]) -> None:
+def test_every_effect_is_hidden_in_some_case(answers: dict[str, Any]) -> None:
     assert sorted(answers) == [folder.name for folder in CASES]
     single = [e["name"] for answer in answers.values() if answer["kind"] == "single" for e in answer["effects"]]
     assert sorted(single) == sorted(SHIPPED)
@@ -109,7 +109,7 @@ def test_records_have_the_same_columns_everywhere() -> None:
 
 
 @pytest.mark.parametrize("folder", CASES, ids=lambda folder: folder.name)
-def test_the_intake_takes_every_case_without_a_word(folder: Path) -> None:
+def test_the_intake_accepts_every_case_without_a_message(folder: Path) -> None:
     model = load_model(folder / "model.toml")
     records = load_records(model, [folder / "a.npz", folder / "b.npz"])
     assert [record.findings for record in records] == [(), ()]

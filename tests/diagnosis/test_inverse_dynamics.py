@@ -40,7 +40,7 @@ def test_it_starts_near_the_truth(name: str, parameter: str, true: float, joint:
     assert values["coulomb.Fc"] == pytest.approx(0.12, rel=0.15)
 
 
-def test_it_says_nothing_where_hidden_states_matter(joint: Callable[..., Any], tree: dict[str, Any]) -> None:
+def test_regression_gives_no_starts_where_hidden_states_matter(joint: Callable[..., Any], tree: dict[str, Any]) -> None:
     found = joint(tree, "bias")
     for name in ("compliance", "input_delay", "presliding", "eccentric_encoder"):
         assert found(name) == []

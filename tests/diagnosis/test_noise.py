@@ -39,7 +39,7 @@ def test_both_variances_are_found_again(pulses, torque, corner, sensor):
     found = estimate(made(pulses, torque, corner, sensor), np.ones(SEGMENTS), pulses, H, 1e-7)
     assert found.corner == corner
     assert found.torque == pytest.approx(torque, rel=0.15)
-    if sensor > 1e-5:  # what hides behind the torque cannot be told so closely
+    if sensor > 1e-5:  # a part hidden by the torque is estimated less closely
         assert found.sensor == pytest.approx(sensor, rel=0.1)
 
 

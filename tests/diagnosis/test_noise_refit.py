@@ -64,7 +64,9 @@ def test_under_the_first_noise_the_effect_hardly_shows(asymmetric: tuple[Dataset
     assert first.values["asymmetric_coulomb.share"] < 0.3 * TRUE["asymmetric_coulomb.share"]
 
 
-def test_settled_it_is_likelier_and_nearer_the_truth(asymmetric: tuple[Dataset, Fit], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_converged_noise_and_fit_are_likelier_and_nearer_the_truth(
+    asymmetric: tuple[Dataset, Fit], monkeypatch: pytest.MonkeyPatch
+) -> None:
     own, first = asymmetric
     end = fitting.refit_with_noise(own, first)
     monkeypatch.setattr(fitting, "FAST_CORNER", 0.0)  # as if no noise were slow
@@ -74,7 +76,7 @@ def test_settled_it_is_likelier_and_nearer_the_truth(asymmetric: tuple[Dataset, 
     assert abs(end.values["asymmetric_coulomb.share"] - true) < 0.5 * abs(timid.values["asymmetric_coulomb.share"] - true)
 
 
-def test_where_it_has_settled_nothing_moves_any_more(asymmetric: tuple[Dataset, Fit]) -> None:
+def test_a_converged_noise_refit_changes_nothing(asymmetric: tuple[Dataset, Fit]) -> None:
     own, first = asymmetric
     end = fitting.refit_with_noise(own, first)
     again = fitting.refit_with_noise(own, end)

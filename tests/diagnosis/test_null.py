@@ -113,7 +113,7 @@ def test_segments_may_differ_in_spread():
 
 
 def test_one_observation_does_not_make_its_own_level():
-    """A direction that lives in one segment finds its own observation again under every sign."""
+    """A direction that is confined to one segment finds its own observation again under every sign."""
     rng, weight = np.random.default_rng(8), np.ones(SEGMENTS)
     columns = np.zeros((SEGMENTS, BINS, 1))
     columns[7] = rng.standard_normal((BINS, 1))

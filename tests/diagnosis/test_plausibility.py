@@ -36,7 +36,7 @@ def velocities(measured):
 
 @pytest.mark.parametrize("name", list(effects()))
 @pytest.mark.parametrize("off", OFF)
-def test_it_is_silent_on_what_is_plausible(name, off, positions, velocities, tree):
+def test_plausible_data_are_not_reported(name, off, positions, velocities, tree):
     model = declared(tree, off=off)
     assert said(model, positions[name]).proposals == ()
     model = declared(tree, "velocity", off)
@@ -44,7 +44,7 @@ def test_it_is_silent_on_what_is_plausible(name, off, positions, velocities, tre
 
 
 @pytest.mark.parametrize("name", list(effects()))
-def test_it_speaks_on_each_mistake(name, positions, velocities, tree):
+def test_each_mistake_is_reported(name, positions, velocities, tree):
     off = OFF[list(effects()).index(name) % 3]
     mistakes = {
         "input sign looks flipped": lambda t, u, y: (t, -u, y),

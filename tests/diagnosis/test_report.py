@@ -141,7 +141,7 @@ def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(a
     assert any(line.endswith("from position, and no effect of the catalogue explains it.") for line in after)
 
 
-def test_a_tone_is_told_with_its_frequency_and_how_to_look_for_it(answer):
+def test_a_tone_is_reported_with_its_frequency_and_an_experiment(answer):
     tone = Unexplained(True, "tone", 0.9, 0.0, "3 Hz")
     facts = Facts("none", answer("none").gap, tone)
     assert "90 % of the residual can be predicted from oscillation in time (3 Hz)" in " ".join(statement(facts))
@@ -173,7 +173,7 @@ def test_a_name_that_stands_for_its_class_says_so(answer):
     assert lines[1].endswith("from gravity on an unbalanced mass (gravity), which fits equally well.")
 
 
-def test_what_ties_is_red_whatever_the_verdict(answer):
+def test_tied_effects_are_red_whatever_the_verdict(answer):
     named = answer("named")
     assert RED.lower() not in draw(named)["candidates"].lower()
     assert RED.lower() in draw(replace(named, ties=(("cogging", "gravity"),)))["candidates"].lower()
@@ -306,7 +306,7 @@ def test_figures_are_the_same_every_time(answer):
     assert draw(answer("tie")) == draw(answer("tie"))
 
 
-def test_small_torques_are_told_in_thousandths(answer):
+def test_small_torques_are_given_in_thousandths(answer):
     named = answer("named")
     small = tuple(replace(view, before=0.1 * view.before, after=0.1 * view.after) for view in named.where)
     texts = svg_texts(draw(replace(named, where=small))["maps"])
@@ -382,10 +382,10 @@ def test_a_sentence_leaves_out_a_second_term_that_may_not_be_there(answer):
     there = {**cogging.parameters, "amplitude2": Estimate(0.01, "N.m", (0.009, 0.011))}
     assert list(reported_parameters(replace(cogging, parameters=there))) == list(cogging.parameters)
     sine, cosine = Estimate(0.01, "1", (-0.01, 0.03)), Estimate(0.1, "1", (0.08, 0.12))
-    unbent = Named("gravity", "", {"amplitude": cosine, "sine2": sine, "cosine2": sine}, 9.0, 0.1)
-    assert list(reported_parameters(unbent)) == ["amplitude"]
-    bent = replace(unbent, parameters={**unbent.parameters, "cosine2": cosine})
-    assert list(reported_parameters(bent)) == ["amplitude", "sine2", "cosine2"]
+    one_term = Named("gravity", "", {"amplitude": cosine, "sine2": sine, "cosine2": sine}, 9.0, 0.1)
+    assert list(reported_parameters(one_term)) == ["amplitude"]
+    two_terms = replace(one_term, parameters={**one_term.parameters, "cosine2": cosine})
+    assert list(reported_parameters(two_terms)) == ["amplitude", "sine2", "cosine2"]
 
 
 def test_words_are_those_of_the_axis_and_of_its_input():

@@ -66,7 +66,7 @@ def test_noise_follows_nothing(plain):
     assert np.sum(smallest <= 0.5) >= 4
 
 
-def test_stretches_that_are_far_off_are_seen_as_such(plain):
+def test_outlier_segments_are_recognised(plain):
     response, m = copy(ResidualResponse(plain.base, plain.dataset)), plain.dataset.motion
     noise = np.random.default_rng(3).standard_normal(response.rest.shape)
     live = np.flatnonzero(response.weight > 0)

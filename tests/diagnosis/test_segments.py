@@ -18,7 +18,10 @@ H, WIDTH, BINS = 1e-3, 8, 50
 GRID = Grid(H, WIDTH, BINS, False)
 BASE = ("J", "a2", "coulomb.Fc")
 VALUES = {"J": 0.01, "a2": 0.02, "b": 1.0, "coulomb.Fc": 0.12}
-BENT = {f"{OWN_BRISTLES}.stiffness": 1200.0, f"{OWN_BRISTLES}.damping": 2.0}  # a bend of a quarter of a step of 16384 counts
+SOFT_BRISTLES = {
+    f"{OWN_BRISTLES}.stiffness": 1200.0,
+    f"{OWN_BRISTLES}.damping": 2.0,
+}  # a deflection of a quarter of a step of 16384 counts
 WITH = {  # an effect, away from the ends of its intervals
     "gravity": {"amplitude": 0.2, "phase": 0.4},
     "cogging": {"amplitude": 0.05, "phase": 0.3, "periods": 6.9, "amplitude2": 0.01, "phase2": -0.4},
@@ -57,7 +60,7 @@ def test_derivatives_are_those_of_the_simulation(segments, name):
     segment alone is exact. A contact begins within a step, which a simulation by steps sees a little earlier or later.
     """
     least = 0.02 if name == "backlash" else 1e-5
-    values = VALUES | BENT | {f"{name}.{key}": value for key, value in WITH.get(name, {}).items()}
+    values = VALUES | SOFT_BRISTLES | {f"{name}.{key}": value for key, value in WITH.get(name, {}).items()}
     work = simulator(segments, (name,) if name else (), True)
     starts = segments.initial + np.array([0.0, 0.01])  # none at rest: steps have a kink there
     if name == "backlash":  # in contact at either side and in between, faster and slower than the motor
@@ -100,7 +103,7 @@ def test_a_segment_is_a_run_of_the_servo_from_its_start(segments):
         np.testing.assert_allclose(seen[k], theta.reshape(BINS, WIDTH).mean(axis=1), rtol=0, atol=1e-13)
 
 
-def test_hidden_states_live_on_from_segment_to_segment(segments):
+def test_hidden_states_carry_over_from_segment_to_segment(segments):
     """The delay line of one segment reaches into the next: what came before its start is not forgotten."""
     values = VALUES | {"input_delay.delay": 0.02}
     seen = simulator(segments, ("input_delay",), False).run(values, segments.initial)[0]
@@ -112,8 +115,8 @@ def test_hidden_states_live_on_from_segment_to_segment(segments):
     assert np.sum(np.max(np.abs(seen - alone)[1:], axis=1) > 1e-3) >= 4  # it rests at the start of some
 
 
-def test_a_loose_load_carries_on_unless_it_is_laid_somewhere(segments):
-    """Where it was is told, over half the play, and the same again when given; one segment moved leaves the others."""
+def test_a_load_with_free_play_continues_from_the_last_segment_unless_placed(segments):
+    """The start of the load is returned, over half the play, and the same again when given; one moved leaves the others."""
     values = VALUES | {f"backlash.{key}": value for key, value in (WITH["backlash"] | {"stiffness": 200.0}).items()}
     work = simulator(segments, ("backlash",), False)
     seen, _, _, starts = work.run(values, segments.initial)
@@ -121,9 +124,9 @@ def test_a_loose_load_carries_on_unless_it_is_laid_somewhere(segments):
     assert np.all(starts[0, 2:] == 0.0)
     assert np.any(np.abs(starts[1:, 2]) > 0.5)
     np.testing.assert_array_equal(starts[:, :2], segments.initial)
-    again, _, _, told = work.run(values, starts)
+    again, _, _, returned = work.run(values, starts)
     np.testing.assert_allclose(again, seen, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(told, starts)
+    np.testing.assert_array_equal(returned, starts)
     other = starts.copy()
     other[3, 2] = -starts[3, 2] - 0.5
     moved = work.run(values, other)[0]
@@ -200,8 +203,8 @@ def test_no_reversal_amplifies_a_start():
     rough = Segments(H, WIDTH, BINS, False, (cut("run", 0.0, u, y, GRID, 4e-4),))
     work = simulator(rough, (), True)
     for damping in np.geomspace(0.01, 10.0, 60):
-        bent = {f"{OWN_BRISTLES}.stiffness": 5000.0, f"{OWN_BRISTLES}.damping": damping}
-        _, exact, good, _ = work.run(VALUES | bent, rough.initial, jacobian=True)
+        damped = {f"{OWN_BRISTLES}.stiffness": 5000.0, f"{OWN_BRISTLES}.damping": damping}
+        _, exact, good, _ = work.run(VALUES | damped, rough.initial, jacobian=True)
         assert exact is not None
         assert good.all()
         assert np.abs(exact[:, :, -1]).max() <= 1.01 * H * WIDTH * BINS
@@ -210,7 +213,7 @@ def test_no_reversal_amplifies_a_start():
 
 def test_two_threads_simulate_the_same_program_without_disturbing_each_other(segments):
     """Each in its own instance: two diagnoses may run side by side."""
-    values = [VALUES | BENT | {"coulomb.Fc": level} for level in (0.1, 0.14)]
+    values = [VALUES | SOFT_BRISTLES | {"coulomb.Fc": level} for level in (0.1, 0.14)]
     pair = [simulator(segments, (), True) for _ in values]
     alone = [work.run(v, segments.initial)[0] for work, v in zip(pair, values, strict=True)]
 

@@ -20,14 +20,14 @@ def said(share, *named, gap=HALF, turn=TURN, outliers=False, disturbance=0.0, **
     return unexplained([share, Share("t", 0.01, 1.0)], model)
 
 
-def test_what_is_sure_and_large_remains_in_whatever_view():
+def test_a_certain_and_large_share_is_reported_in_any_view():
     assert said(Share("history", 0.5, 0.001)).flag
     assert said(Share("history", 0.5, 0.001), "gravity").flag
     assert said(Share("history", 0.5, 0.001), "gravity").view == "history"
 
 
 @pytest.mark.parametrize("share", [Share("history", 0.5, 0.05), Share("history", 0.04, 0.001), Share("du", 0.9, 0.001)])
-def test_what_is_unsure_or_small_or_the_sensors_own_does_not(share):
+def test_an_uncertain_small_or_sensor_share_is_not_reported(share):
     assert not said(share).flag
 
 
@@ -37,7 +37,7 @@ def test_what_is_left_is_measured_by_the_gap_there_was(share, flag):
 
 
 @pytest.mark.parametrize(("share", "flag"), [(0.07, False), (0.09, True)])
-def test_less_is_enough_where_a_stretch_is_far_off(share, flag):
+def test_a_smaller_share_is_enough_where_a_segment_is_an_outlier(share, flag):
     assert said(Share("tone", share, 0.02), outliers=True).flag is flag
     assert not said(Share("tone", share, 0.02)).flag
     assert not said(Share("tone", share, 0.05), outliers=True).flag
@@ -45,7 +45,7 @@ def test_less_is_enough_where_a_stretch_is_far_off(share, flag):
 
 
 @pytest.mark.parametrize(("disturbance", "flag"), [(0.11, False), (1.8, True)])
-def test_a_disturbance_as_large_as_the_drive_is_none(disturbance, flag):
+def test_a_disturbance_as_large_as_the_input_is_reported(disturbance, flag):
     """A play behind which only the sensor sits: whatever it does looks like a torque of its own."""
     nothing = Share("theta x a", 1.0, 0.049)
     left = said(nothing, disturbance=disturbance)
@@ -62,10 +62,10 @@ def test_what_is_left_of_a_gap_that_was_closed_is_small():
     assert said(Share("history", 0.5, 0.001), "gravity").flag
 
 
-def test_a_name_that_does_not_lower_the_error_elsewhere_is_not_the_whole_story():
+def test_an_effect_that_does_not_lower_the_held_out_error_leaves_a_flag():
     vain = Gap(2.0, 2.1, 0.1, "rad")
     assert said(Share("history", 0.1, 0.5), "gravity", gap=vain).flag
-    assert not said(Share("history", 0.1, 0.5), "saturation", gap=vain).flag  # may show in none of those stretches
+    assert not said(Share("history", 0.1, 0.5), "saturation", gap=vain).flag  # may act in none of those segments
     assert not said(Share("history", 0.1, 0.5), gap=vain).flag
 
 
@@ -74,7 +74,7 @@ def test_a_multiple_of_the_named_wave_is_its_form():
         assert said(Share("theta x a", 0.9, 0.001, periods=times), "eccentric_encoder").flag is flag, times
 
 
-def test_the_named_wave_itself_is_something_else_on_less_evidence():
+def test_the_named_wave_itself_is_reported_on_less_evidence():
     weak = {"share": 0.4, "p": 0.2, "alone": 0.02}
     assert said(Share("theta x a", **weak, periods=1.0), "eccentric_encoder").flag
     assert not said(Share("theta x a", **weak, periods=5.0), "eccentric_encoder").flag
@@ -88,6 +88,6 @@ def test_waves_are_counted_along_the_path_that_a_motion_repeats_after():
     assert said(Share("theta x u", 0.4, 0.2, alone=0.02, periods=7.0), "cogging", **where).flag
 
 
-def test_stretches_that_a_rattling_contact_sends_elsewhere_are_no_news():
+def test_outlier_segments_of_a_contact_with_free_play_are_not_flagged():
     assert not said(Share(OUTLIERS, 0.9, 0.001), "backlash").flag
     assert said(Share(OUTLIERS, 0.9, 0.001), "gravity").flag

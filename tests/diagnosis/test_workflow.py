@@ -271,6 +271,6 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
         (lambda model, out: build("plant", out, law="gms", effects=["bias"], parameters={"bias.torque": ""}), "is not a number"),
     ],
 )
-def test_arguments_of_a_wrong_kind_are_told_in_one_line(model, tmp_path, call, words):
+def test_arguments_of_a_wrong_type_are_one_line(model, tmp_path, call, words):
     with pytest.raises(BristleError, match=words):
         call(model, tmp_path / "out")

@@ -96,7 +96,7 @@ def test_interleaved_instances_do_not_interact(built, Raw, case):
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_states_continue_bitwise(built, Raw, case):
-    """Get, wander off, set, go on; and the same through bytes, in another instance and in another process."""
+    """Get, continue elsewhere, set, go on; and the same through bytes, in another instance and in another process."""
     what, fmi = case
     fmu = built(what, fmi=fmi)
     raw, outputs = Raw(fmu.info), fmu.names("output")

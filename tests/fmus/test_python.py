@@ -202,7 +202,7 @@ def test_states_continue_bitwise(built, what):
     other.free()
 
 
-def test_many_lives_and_errors_do_not_wear_the_interpreter_out(built):
+def test_many_instances_and_errors_do_not_exhaust_the_interpreter(built):
     """pythonfmu gives back references that are not its own; the script makes up for it."""
     fmu = built("controller", kind="python")
     for _ in range(200):

@@ -188,7 +188,7 @@ def test_units_and_names_of_a_foreign_plant_are_checked(tiny_fmu: Maker, base: s
 def test_one_sample_of_shift_spoils_the_estimates(base: str, scenario_file: Maker) -> None:
     """The observer pairs u_(k-1) with y_(k-1) and y_k; fed one sample late or early it must get worse.
 
-    Step 2 of the paper sees it best: its regression lives on presliding, where a sample counts.
+    Step 2 of the paper sees it best: its regression uses presliding, where a shift of one sample matters.
     """
     known = '[observer.parameters]\n"besancon.alpha2" = "2 1/s"\n"besancon.b" = "6.5 rad/(s2.V)"\n\n[[checks]]'
     text = base.replace("bastin_gevers", "besancon").replace("[[checks]]", known)

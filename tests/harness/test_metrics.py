@@ -41,7 +41,7 @@ def test_error_has_a_sign_even_for_a_negative_truth() -> None:
     assert metrics.error_percent(np.array([3.6]), 4.0)[0] == pytest.approx(-10.0)
 
 
-def test_what_does_not_settle_is_not_a_number() -> None:
+def test_settling_time_is_nan_if_the_error_does_not_settle() -> None:
     late = np.where(TIME >= 9.995, 9.9, 4.0)  # only the last sample is out
     assert math.isnan(metrics.estimate(TIME, late, SOUND, TRUE, "1")["settling_s"])
     assert metrics.estimate(TIME, TRUE.copy(), SOUND, TRUE, "1")["settling_s"] == 0.0
@@ -73,7 +73,7 @@ def test_not_valid_counts_as_an_error_without_bound() -> None:
     assert early["settling_s"] == pytest.approx(4.99)
 
 
-def test_a_dead_observer_has_not_moved() -> None:
+def test_an_observer_that_is_switched_off_has_not_moved() -> None:
     assert metrics.estimate(TIME, TRUE.copy(), SOUND, TRUE, "1")["moved_percent"] == 0.0
 
 

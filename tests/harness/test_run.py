@@ -129,7 +129,7 @@ def test_signals_csv_is_numbers_under_names(finished: Run) -> None:
     assert (load[table[:, 0] < 4].max(), load[table[:, 0] >= 4].min()) == (1.0, 1.25)
 
 
-def test_report_is_one_file_that_says_it_all(finished: Run) -> None:
+def test_report_is_one_self_contained_file(finished: Run) -> None:
     text = (finished.folder / "report.html").read_text()
     page = Page(text)
     assert page.loads

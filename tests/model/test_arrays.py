@@ -24,10 +24,10 @@ def test_every_law_and_effect_gives_what_casadi_gives(law, added):
     start = np.array([program.starts[i] for i in kernel.reads])[:, None]
     shape = (len(start), POINTS)
     given = np.vstack([start * rng.uniform(0.5, 2.0, shape) + rng.normal(0, 0.3, shape), np.full(POINTS, 1e-3)])
-    told = for_arrays(whole)(list(given))
+    outputs = for_arrays(whole)(list(given))
     expected = np.column_stack([np.asarray(whole(given[:, k])).ravel() for k in range(POINTS)])
     assert np.isfinite(expected).mean() > 0.5
-    for row, want in zip(told, expected, strict=True):
+    for row, want in zip(outputs, expected, strict=True):
         np.testing.assert_allclose(np.broadcast_to(row, POINTS), want, rtol=1e-9, atol=1e-12, equal_nan=True)
 
 
@@ -47,9 +47,9 @@ def test_every_operation_even_where_it_has_no_value(kind):
     function = ca.Function("f", [z], [ca.vertcat(*OPERATIONS[kind](z[0], z[1]))])
     edge = [-np.inf, -2.0, -0.5, -0.0, 0.0, 0.5, 1.0, 3.0, np.inf, np.nan]
     x, y = (a.ravel() for a in np.meshgrid(edge, edge))
-    told = for_arrays(function)([x, y])
+    outputs = for_arrays(function)([x, y])
     expected = np.column_stack([np.asarray(function([a, b])).ravel() for a, b in zip(x, y, strict=True)])
-    for row, want in zip(told, expected, strict=True):
+    for row, want in zip(outputs, expected, strict=True):
         np.testing.assert_allclose(np.broadcast_to(row, len(x)), want, rtol=1e-12, equal_nan=True)
 
 

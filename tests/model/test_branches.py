@@ -53,7 +53,7 @@ def test_what_one_branch_needs_alone_is_computed_there():
 
 
 @pytest.mark.parametrize("wanted", [["r", "b3"], ["r"]])
-def test_what_is_needed_elsewhere_stays_outside(wanted):
+def test_what_is_also_needed_elsewhere_is_computed_outside_the_branch(wanted):
     """Once wanted for itself, or by another line, a value is computed in any case; so is what it needs."""
     long = chain("b", "x", MIN_BRANCH_OPERATIONS + 4)
     other = [Line("y", "b3 * 2", ("b3",))] if wanted == ["r"] else []

@@ -193,7 +193,7 @@ def test_units_and_scales():
         factor_to("V", "much", "V")
 
 
-def test_a_csv_in_another_encoding_is_told_from_a_broken_one(tmp_path):
+def test_a_csv_in_another_encoding_is_distinguished_from_a_corrupt_one(tmp_path):
     path = tmp_path / "r.csv"
     path.write_bytes("t,Größe\n0,1\n".encode("latin-1"))
     with pytest.raises(BristleError, match=r"r\.csv: is not UTF-8 text; save it as CSV in UTF-8"):

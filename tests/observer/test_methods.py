@@ -122,7 +122,7 @@ def test_projection_keeps_sigma0_and_c_positive_under_a_wrong_model():
     assert np.any(estimates == 1.0)  # the bound was needed
 
 
-def test_printed_gains_are_alive_but_do_not_converge():
+def test_printed_gains_change_the_estimates_but_do_not_converge():
     data = record(60.0)
     estimates = observe("two_step_printed", data, ("alpha2", "sigma0", "c"), {"two_step_printed.step2_start": 30.0})
     assert estimates[-1, 0] > 1.2 * SET_S["alpha2"]

@@ -98,7 +98,7 @@ def test_what_is_shipped_is_the_catalogue():
         ("mine", '"bias', '"mine', ("mine.py", "unknown effects: nonsense")),
     ],
 )
-def test_a_mistake_in_a_file_of_an_effect_is_told_with_the_file(file, old, new, words, monkeypatch, tmp_path):
+def test_a_mistake_in_an_effect_file_is_reported_with_the_file(file, old, new, words, monkeypatch, tmp_path):
     text = Path(catalogue.__file__).with_name("bias.py").read_text().replace(old, new)
     (tmp_path / f"{file}.py").write_text(text.replace('"gravity"', '"nonsense"' if file == "mine" else '"gravity"'))
     monkeypatch.setattr(catalogue, "__path__", [*catalogue.__path__, str(tmp_path)])
@@ -232,7 +232,7 @@ def test_each_runs_for_two_seconds_and_shows(law_name):
 
 
 @pytest.mark.parametrize("law_name", list(laws()))
-def test_without_strength_it_is_the_plain_servo(law_name):
+def test_with_zero_strength_it_is_the_servo_without_the_effect(law_name):
     program, u = every(law_name), voltages(2000, 3.0 if law_name == "modified_polynomial" else 1.5)
     base, _ = Native(servo_program(law_name)).run(H, {"u": u}, ["theta", "v", "F", "theta_enc", "v_enc"])
     size = np.ptp(base, axis=0)
@@ -541,7 +541,7 @@ def test_another_form_of_dry_friction_follows_the_equation(name):
     follows(name, parameters, rates)
 
 
-def test_a_drift_that_hardly_settles_is_a_straight_line():
+def test_a_drift_is_continuous_where_a_series_replaces_the_exponential():
     """Where the exponential is replaced by its series, nothing jumps."""
     records = [
         Native(lean("friction_drift"), {"friction_drift.rate": 0.5, "friction_drift.settling": s}).run(
@@ -683,7 +683,7 @@ def test_a_stiff_shaft_is_none():
     assert errors[2] < errors[1] < errors[0]
 
 
-def test_only_another_level_of_friction_tells_an_asymmetry_from_a_constant_torque():
+def test_only_a_second_friction_level_distinguishes_asymmetry_from_constant_torque():
     """They move alike, from rest and over reversals; not so where friction is half as large again."""
     u = 0.25 * np.sin(2 * np.pi * np.arange(2000) / 1000) * np.linspace(0, 1, 2000)
 

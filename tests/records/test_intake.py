@@ -444,14 +444,14 @@ def test_a_counter_that_wraps_once_is_unwrapped(layout):
     np.testing.assert_allclose(record.y, y, atol=1e-9)
 
 
-def test_a_lone_jump_of_another_size_is_told(layout):
+def test_a_single_jump_of_another_size_is_reported(layout):
     t, u, y = motion()
     record = one(layout, t, u, y + np.where(t > 3.0, 50.0, 0.0))
     only(record, "position jumps once by 50 rad after 3 s", "cut the record there")
     assert not record.wrapped
 
 
-def test_a_position_that_wraps_by_360_tells_of_its_unit(layout):
+def test_a_position_that_wraps_by_360_is_proposed_to_be_in_degrees(layout):
     t, u, y = motion()
     record = one(layout, t, u, np.mod(np.degrees(y), 360.0))
     only(record, "wraps by 360 rad", "[output] unit ('rad')", "a turn has 6.283 rad")
