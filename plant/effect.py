@@ -157,7 +157,7 @@ class Effect:
         What it is, in a sentence's part and in two to five words; these, `excitation`, `separation` and the descriptions of the
         parameters may have the placeholders of a `Wording`.
     group : str
-        Name of its class: the effects that data may not tell apart, joined by a slash.
+        Name of its class: the effects that data may not distinguish, joined by a slash.
     equation : str
         The equation in one line of text.
     residual : tuple of str
@@ -195,7 +195,7 @@ class Effect:
     excluded : function
         Why the servo cannot lack it beside a friction law that has it already, as a text; empty where it can.
     separation : str
-        What to measure to tell the effects of its class apart (stated by one effect of the class).
+        What to measure to distinguish the effects of its class (stated by one effect of the class).
     rigid_friction : bool
         True for the one effect whose bristles, too stiff for the sensor to see, are part of each simulation of set-valued
         friction in a diagnosis: without them each effect would be fitted to the last digits of sticking.

@@ -310,7 +310,7 @@ those two are judged by their Coulomb friction here, and docs/mathematics.md say
 ABOUT_BODIES = """The benchmark of clavel2001: 3 x 1000 samples of 5 ms, saw-tooth forces, one length and one stiffness of the
 bristles; encoder: 1 um. Its own start values are given to the methods that have starts, the true alpha2 and b to those that take
 them as known; a millimetre stands for the radian. All else is as the methods come, made for 1 ms and for a servo; here 1 000 mm/s
-are reached, at which the presliding distance is passed fifty times in a sample: only reversals tell sigma0 and c apart."""
+are reached, at which the presliding distance is passed fifty times in a sample: only reversals distinguish sigma0 and c."""
 
 
 def publish(found: Mapping[Any, Path], docs: Path) -> str:

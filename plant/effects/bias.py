@@ -30,7 +30,7 @@ EFFECT = Effect(
     group="bias/asymmetric_coulomb",
     equation="T = tau0",
     residual=("all",),
-    excitation="any motion; only another level of friction tells it from asymmetric_coulomb",
+    excitation="any motion; only another level of friction distinguishes it from asymmetric_coulomb",
     confounded=("asymmetric_coulomb", "gravity", "disturbance_step"),
     parameters=(Parameter("bias.torque", "tau0", "N.m", 0.001, -1e6, 1e6, "constant {torque}, positive forward", "janot2019"),),
     torque=torque,
