@@ -4,6 +4,7 @@
     ├── ValueError
     │   └── BristleError           what the user gave cannot be used; the base of all that follow
     │       ├── SimulationError    a simulation cannot go on (an ArithmeticError too)
+    │       ├── EquationError      equations are incomplete, or cannot be composed
     │       ├── RestartError       an FMU cannot be started again from given states
     │       ├── IncompleteError    one of several outputs could not be made; the others were written
     │       └── NotStaticError     the inverse dynamics need states that are not measured
@@ -22,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["BristleError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest"]
+__all__ = ["BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest"]
 
 
 class BristleError(ValueError):
@@ -41,6 +42,10 @@ class SimulationError(BristleError, ArithmeticError):
     def __init__(self, message: str, time: float = math.nan) -> None:
         super().__init__(message)
         self.time = time
+
+
+class EquationError(BristleError):
+    """Equations that are incomplete, contradict each other or cannot be composed."""
 
 
 class RestartError(BristleError):

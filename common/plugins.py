@@ -1,7 +1,7 @@
 """Files of the catalogues: those of a package, and those of the folders that the environment variable BRISTLE_PLUGINS names.
 
 Such a folder has sub-folders `laws`, `effects`, `observers` and `scenarios`; a file there counts like one of the package. Several
-folders are separated as in PATH.
+folders are separated as in PATH. Whatever is wrong with a file there, the error names the file.
 """
 
 from __future__ import annotations
@@ -11,19 +11,43 @@ import importlib.util
 import os
 import pkgutil
 import sys
+import traceback
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple, Protocol, TypeVar
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, EquationError
 
 PLUGINS_VARIABLE = "BRISTLE_PLUGINS"  # environment variable with the folders
 PLUGIN_KINDS = ("laws", "effects", "observers", "scenarios")  # their sub-folders
 
 
-def plugin_folders(kind: str) -> list[Path]:
-    """Return the folders named in BRISTLE_PLUGINS that have a sub-folder `kind`, as these sub-folders.
+class Declared(Protocol):
+    """What a file of a catalogue declares."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def file(self) -> str: ...
+
+
+D = TypeVar("D", bound=Declared)
+
+
+class CatalogueFile(NamedTuple):
+    """A file of a catalogue, by the name that errors give it, and whether it is a plug-in."""
+
+    module: ModuleType
+    file: str
+    plugin: bool
+
+
+def plugin_roots() -> list[Path]:
+    """Return the folders named in BRISTLE_PLUGINS.
 
     Raises
     ------
@@ -38,7 +62,12 @@ def plugin_folders(kind: str) -> list[Path]:
             raise BristleError(
                 f"{PLUGINS_VARIABLE}: {root} has none of the sub-folders {', '.join(PLUGIN_KINDS)}; move the files there"
             )
-    return [root.resolve() / kind for root in roots if (root / kind).is_dir()]
+    return [root.resolve() for root in roots]
+
+
+def plugin_folders(kind: str) -> list[Path]:
+    """Return the sub-folders `kind` of the folders named in BRISTLE_PLUGINS."""
+    return [root / kind for root in plugin_roots() if (root / kind).is_dir()]
 
 
 def plugin_files(kind: str, suffix: str) -> list[Path]:
@@ -46,7 +75,7 @@ def plugin_files(kind: str, suffix: str) -> list[Path]:
     return [path for folder in plugin_folders(kind) for path in sorted(folder.glob(f"*{suffix}")) if path.name[0] != "_"]
 
 
-def catalogue_modules(package: str, paths: Iterable[str], kind: str) -> list[tuple[ModuleType, str]]:
+def catalogue_modules(package: str, paths: Iterable[str], kind: str) -> list[CatalogueFile]:
     """Return the modules of a package and those of the plug-in folders, in alphabetical order of their files.
 
     Parameters
@@ -58,14 +87,65 @@ def catalogue_modules(package: str, paths: Iterable[str], kind: str) -> list[tup
 
     Returns
     -------
-    list of (module, str)
-        Each module and its file, as errors name it.
+    list of CatalogueFile
+        Each module with its file.
     """
     folder = "/".join(package.split(".")[1:])
     own = [(name, f"{folder}/{name}.py", None) for name in (module.name for module in pkgutil.iter_modules(paths))]
     added = [(path.stem, str(path), path) for path in plugin_files(kind, ".py")]
     found = sorted([*own, *added], key=lambda each: each[:2])
-    return [(importlib.import_module(f"{package}.{name}") if path is None else _load(path), file) for name, file, path in found]
+    return [
+        CatalogueFile(importlib.import_module(f"{package}.{name}") if path is None else _load(path), file, path is not None)
+        for name, file, path in found
+    ]
+
+
+def declarations(found: Sequence[CatalogueFile], attribute: str, kind: type[D]) -> dict[str, D]:
+    """Return what the files declare as `attribute`, by the names of the files as errors give them.
+
+    A file of the package without it holds helpers of others.
+
+    Raises
+    ------
+    BristleError
+        If a plug-in declares nothing of this kind, or something is called as in another file, of which a plug-in is to be changed.
+    """
+    declared: dict[str, D] = {}
+    for module, file, plugin in found:
+        item = getattr(module, attribute, None)
+        if isinstance(item, kind):
+            declared[file] = item
+        elif plugin or item is not None:
+            raise BristleError(
+                f"{file}: no {attribute} that is a {kind.__name__}; declare one, or begin the name of a file of helpers with _"
+            )
+    first: dict[str, str] = {}
+    for file in (each.file for each in sorted(found, key=lambda each: each.plugin) if each.file in declared):
+        name = declared[file].name
+        if name in first:
+            raise BristleError(f"{file}: {attribute} is called '{name}', as in {first[name]}; give it a name of its own")
+        first[name] = file
+    return declared
+
+
+@contextmanager
+def naming_plugins(parts: Iterable[Declared]) -> Iterator[None]:
+    """Let an error in equations of plug-ins, or in what they return, name the file, and the line if it is one of the file."""
+    try:
+        yield
+    except Exception as error:  # whatever the code of a plug-in raises
+        files = [part.file for part in parts if part.file]
+        misfit = isinstance(error, BristleError) and not isinstance(error, EquationError)  # of parts that are right by themselves
+        if misfit or not files:
+            raise
+        lines = [f"{at.filename}: line {at.lineno}" for at in traceback.extract_tb(error.__traceback__) if at.filename in files]
+        raise EquationError(f"{lines[-1] if lines else ' or '.join(files)}: {_told(error)}; correct the equations") from error
+
+
+def _told(error: BaseException) -> str:
+    """Return an error of a plug-in in one line."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, BristleError) else f"{type(error).__name__}: {text}"
 
 
 def _load(path: Path) -> ModuleType:
@@ -82,5 +162,5 @@ def _load(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # a file that leaves the program is a mistake of the file
         del sys.modules[name]
-        raise BristleError(f"{path}: {type(error).__name__}: {error}; correct the file or remove it") from error
+        raise BristleError(f"{path}: {_told(error)}; correct the file or remove it") from error
     return module

@@ -18,6 +18,7 @@ from bristle.diagnosis.modelfile import ModelTable
 from bristle.harness.metrics import CHECK_QUANTITIES
 from bristle.harness.plan import BUS_PORTS
 from bristle.harness.scenario import Scenario
+from bristle.model.declarations import ENTRY
 from bristle.model.variables import Parameter
 from bristle.observer import methods
 from bristle.plant import effects as effect_package
@@ -84,7 +85,7 @@ def files_beside(shown: Catalogue) -> set[Path]:
     """Return the files that declare laws, effects or observers that are not `shown`."""
     found = set()
     for kind, (package, attribute) in DECLARED.items():
-        for module, file in catalogue_modules(package.__name__, package.__path__, kind):
+        for module, file, _ in catalogue_modules(package.__name__, package.__path__, kind):
             declared = getattr(module, attribute, None)
             if declared is not None and declared.name not in shown[kind]:
                 found.add(ROOT / file)
@@ -196,7 +197,13 @@ def gallery_page(shown: Catalogue | None = None) -> str:
     return "\n".join([*text, ""])
 
 
+def source_keys(shown: Catalogue | None = None) -> str:
+    """Return the list of the keys of references.bib that is part of the package."""
+    return "\n".join([*ENTRY.findall((ROOT / "references.bib").read_text(encoding="utf-8")), ""])
+
+
 PAGES = {
+    "../model/source_keys.txt": source_keys,
     "gallery.md": gallery_page,
     "parameters.md": parameters_page,
     "traceability.md": traceability_page,

@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import EquationError
 from bristle.model.variables import Namespace, Parameter, State, Variable
 
 __all__ = ["DryRow", "System"]
@@ -98,7 +98,7 @@ class System:
 
     def _symbol(self, name: str) -> SX:
         if name in self.symbols:
-            raise BristleError(f"system '{self.name}' declares '{name}' twice; rename one of them")
+            raise EquationError(f"system '{self.name}' declares '{name}' twice; rename one of them")
         self.symbols[name] = SX.sym(name)
         return self.symbols[name]
 
@@ -177,7 +177,7 @@ class System:
         stiffness, damping) make it elastic before it slides.
         """
         if self.dry is not None:
-            raise BristleError(f"system '{self.name}' already has a dry-friction row ('{self.dry.row}'); only one is allowed")
+            raise EquationError(f"system '{self.name}' already has a dry-friction row ('{self.dry.row}'); only one is allowed")
         self.parameter(FRICTION_STEP)
         self.dry = DryRow(row, SX(inertia), SX(bound), None if backward is None else SX(backward), *(bristles or ()))
 
@@ -208,14 +208,14 @@ class System:
         return expression
 
     def check(self) -> System:
-        """Raise `BristleError` if an equation is missing or belongs to no state; otherwise return self."""
+        """Raise `EquationError` if an equation is missing or belongs to no state; otherwise return self."""
         sampled = {**self.before, **self.after, **self.modes}
         for what, declared, given in (("rate", self.states, self.rates), ("update", sampled, self.updates)):
             for name in declared.keys() ^ given.keys():
-                raise BristleError(f"system '{self.name}': '{name}' needs both a state and a {what}; add the missing one")
+                raise EquationError(f"system '{self.name}': '{name}' needs both a state and a {what}; add the missing one")
         for name in self.margins:
             if name not in self.modes or self.dry is not None:
-                raise BristleError(f"system '{self.name}': '{name}' has a margin; only a mode may, and only without dry friction")
+                raise EquationError(f"system '{self.name}': '{name}' has a margin; only a mode may, and only without dry friction")
         if self.dry is not None and self.dry.row not in self.states:
-            raise BristleError(f"system '{self.name}': dry friction acts on '{self.dry.row}', which is not a state")
+            raise EquationError(f"system '{self.name}': dry friction acts on '{self.dry.row}', which is not a state")
         return self

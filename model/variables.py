@@ -3,32 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from bristle.common.errors import BristleError
 
-__all__ = ["Named", "Namespace", "Parameter", "State", "Variable", "unique"]
-
-
-class Named(Protocol):
-    """Anything with a name."""
-
-    @property
-    def name(self) -> str: ...
-
-
-N = TypeVar("N", bound=Named)
-
-
-def unique(found: Sequence[N], what: str) -> dict[str, N]:
-    """Return the things by name; a name given twice (such as in a copied file) raises BristleError."""
-    names = [each.name for each in found]
-    for name in names:
-        if names.count(name) > 1:
-            raise BristleError(f"{what} '{name}' is defined in {names.count(name)} files; give each its own name")
-    return {each.name: each for each in found}
+__all__ = ["Namespace", "Parameter", "State", "Variable"]
 
 
 @dataclass(frozen=True)

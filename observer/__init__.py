@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bristle.common.errors import BristleError
 from bristle.common.plugins import catalogue_modules
+from bristle.model.declarations import checked_declarations
 from bristle.model.program import Program
-from bristle.model.variables import unique
 from bristle.observer.method import Method, observer
 
 __all__ = ["methods", "observer_program"]
@@ -13,8 +13,7 @@ __all__ = ["methods", "observer_program"]
 
 def methods() -> dict[str, Method]:
     """Return all methods by name, in alphabetical order of their files."""
-    found = [getattr(module, "METHOD", None) for module, _ in catalogue_modules(__name__, __path__, "observers")]
-    return unique([method for method in found if method is not None], "observer")
+    return checked_declarations(catalogue_modules(__name__, __path__, "observers"), "METHOD", Method)
 
 
 def observer_program(method: str | None = None) -> Program:

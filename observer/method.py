@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
+from bristle.common.plugins import naming_plugins
 from bristle.model.normalised import NORMALISED
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Namespace, Parameter, State, Variable
@@ -78,7 +79,10 @@ class EquationContext:
 
 @dataclass(frozen=True)
 class Method:
-    """An observer by name; `reads` is the one output it uses, y_v or y_theta."""
+    """An observer by name; `reads` is the one output it uses, y_v or y_theta.
+
+    `file` is that of a plug-in, for errors in its equations.
+    """
 
     name: str
     description: str
@@ -87,6 +91,7 @@ class Method:
     parameters: tuple[Parameter, ...]
     states: tuple[State, ...]
     equations: Callable[[EquationContext, Sample], Update]
+    file: str = field(default="", compare=False)
 
 
 def vector_states(name: str, unit: str, description: str, count: int, initial: object = 0.0) -> tuple[State, ...]:
@@ -137,6 +142,11 @@ def observer(method: Method) -> System:
 
     Its outputs come from sampled states alone: what is published at t_(k+1) is the estimate for t_k.
     """
+    with naming_plugins([method]):
+        return _observer(method)
+
+
+def _observer(method: Method) -> System:
     system = System(method.name, method.description)
     period = system.parameter(SAMPLE_TIME)
     for parameter in method.parameters:

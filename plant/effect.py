@@ -224,6 +224,8 @@ class Effect:
         Stiffness [N.m/rad] and damping [N.m.s/rad] of bristles that stand in for set-valued friction.
     starts : function
         Starting values from data: for each start the parameters that a fit may move, by their short names.
+    file : str
+        File of a plug-in, for errors in its equations.
     """
 
     name: str
@@ -266,6 +268,7 @@ class Effect:
     coupling: Callable[[Context, SX, SX], Coupling] | None = None
     bristles: Callable[[Context], tuple[SX, SX]] | None = None
     starts: Callable[[Evidence], list[dict[str, float]]] | None = None
+    file: str = field(default="", compare=False)
 
     def worded(self, wording: Wording) -> Effect:
         """Return the effect with the words for an axis in its texts."""

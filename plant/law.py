@@ -39,7 +39,10 @@ class Friction:
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """A law by name; `equations(p, v)` has its own parameters, states and modes as p.sigma0, and the servo's as p.J."""
+    """A law by name; `equations(p, v)` has its own parameters, states and modes as p.sigma0, and the servo's as p.J.
+
+    `file` is that of a plug-in, for errors in its equations.
+    """
 
     name: str
     description: str
@@ -48,6 +51,7 @@ class FrictionLaw:
     parameters: tuple[Parameter, ...] = ()
     states: tuple[State, ...] = ()
     modes: tuple[State, ...] = ()
+    file: str = field(default="", compare=False)
 
 
 def stribeck_curve(p: Namespace, v: SX) -> SX:

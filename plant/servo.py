@@ -9,6 +9,7 @@ from dataclasses import replace
 import casadi as ca
 
 from bristle.common.errors import BristleError
+from bristle.common.plugins import naming_plugins
 from bristle.model.normalised import NORMALISED
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
@@ -48,6 +49,11 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
     Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load scales friction.
     """
     ordered = arrange(effects)
+    with naming_plugins([law, *ordered]):
+        return _servo(law, encoder, ordered).check()
+
+
+def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Effect]) -> System:
     system = System(law.name, " with ".join([law.description, *(effect.name for effect in ordered)]))
     j, b, a2, u_max = (system.parameter(p) for p in (J, B, A2, U_MAX))
     theta_start, v_start = system.parameter(THETA_START), system.parameter(V_START)

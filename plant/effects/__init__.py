@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, suggest
 from bristle.common.plugins import catalogue_modules
-from bristle.plant.effect import Effect
+from bristle.model.declarations import checked_declarations
+from bristle.plant.effect import VIEWS, Effect
 from bristle.plant.wording import ROTARY, Wording
 
 __all__ = ["effect", "effects", "separation"]
@@ -16,24 +17,33 @@ __all__ = ["effect", "effects", "separation"]
 @cache
 def _catalogue(wording: Wording) -> dict[str, Effect]:
     """Return what the files here declare, checked, so that a mistake in one is reported at once with its file."""
-    files: dict[str, str] = {}
-    found = []
-    for module, file in catalogue_modules(__name__, __path__, "effects"):
-        effect = getattr(module, "EFFECT", None)
-        if not isinstance(effect, Effect):
-            raise BristleError(f"{file}: no EFFECT; a file there declares one, so put helpers elsewhere")
-        if effect.name in files:
-            raise BristleError(f"{file}: EFFECT is called '{effect.name}', as in {files[effect.name]}; give it a name of its own")
-        for parameter in effect.parameters:
-            if not parameter.name.startswith(f"{effect.name}."):
-                raise BristleError(f"{file}: parameter '{parameter.name}' must be called '{effect.name}.…'")
-        files[effect.name] = file
-        found.append(effect)
-    for effect in found:
-        if unknown := [name for name in effect.confounded if name not in files]:
-            listed = ", ".join(files)
-            raise BristleError(f"{files[effect.name]}: confounded with unknown effects: {', '.join(unknown)}; known: {listed}")
-    return {effect.name: effect.worded(wording) for effect in found}
+    found = checked_declarations(catalogue_modules(__name__, __path__, "effects"), "EFFECT", Effect, _check)
+    return {name: effect.worded(wording) for name, effect in found.items()}
+
+
+def _check(effect: Effect, known: Mapping[str, Effect]) -> None:
+    """Raise `BristleError` if an effect names a parameter, a view, another effect or a placeholder that there is not."""
+    own = [p.name.removeprefix(f"{effect.name}.") for p in effect.parameters]
+    shapes = [name for start in effect.shape_starts for name in start]
+    others = [effect.periods, effect.free_play]
+    of_parameters = {
+        "off": effect.off, "unused": effect.unused, "search_interval": effect.search_interval, "shape_starts": shapes,
+        "second_term": effect.second_term, "periods or free_play": [name for name in others if name],
+    }  # fmt: skip
+    for key, names in of_parameters.items():
+        _must_know(key, names, own, "parameter of the effect")
+    _must_know("residual", effect.residual, list(VIEWS), "view")
+    _must_know("confounded", effect.confounded, list(known), "effect")
+    _must_know("group", effect.group.split("/"), list(known), "effect")
+    if effect.name not in effect.group.split("/"):
+        raise BristleError(f"group '{effect.group}' lacks '{effect.name}'; write the names of its effects with / between")
+    effect.worded(ROTARY)
+
+
+def _must_know(key: str, names: Iterable[str], known: Sequence[str], what: str) -> None:
+    for name in names:
+        if name not in known:
+            raise BristleError(f"{key}: '{name}' is no {what}{suggest(name, known)}; known: {', '.join(known)}")
 
 
 def effects(wording: Wording = ROTARY) -> dict[str, Effect]:

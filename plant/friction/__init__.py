@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bristle.common.errors import BristleError
 from bristle.common.plugins import catalogue_modules
-from bristle.model.variables import unique
+from bristle.model.declarations import checked_declarations
 from bristle.plant.law import FrictionLaw
 
 __all__ = ["law", "laws"]
@@ -12,8 +12,7 @@ __all__ = ["law", "laws"]
 
 def laws() -> dict[str, FrictionLaw]:
     """Return all laws by name, in alphabetical order of their files."""
-    found = [getattr(module, "LAW", None) for module, _ in catalogue_modules(__name__, __path__, "laws")]
-    return unique([law for law in found if law is not None], "friction law")
+    return checked_declarations(catalogue_modules(__name__, __path__, "laws"), "LAW", FrictionLaw)
 
 
 def law(name: str) -> FrictionLaw:

@@ -15,7 +15,7 @@ PUBLIC = {
         "load_records", "run",
     ],
     "bristle.common.errors": [
-        "BristleError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
+        "BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
     ],
     "bristle.common.units": ["Unit", "convert", "parse_unit", "per_second", "quantity"],
     "bristle.diagnosis": [
@@ -23,10 +23,11 @@ PUBLIC = {
         "load_records", "records_from_arrays", "write",
     ],
     "bristle.fmus": ["build", "obtain"],
+    "bristle.model.declarations": ["checked_declarations", "source_keys"],
     "bristle.model.native": ["Native"],
     "bristle.model.program": ["Program"],
     "bristle.model.system": ["DryRow", "System"],
-    "bristle.model.variables": ["Named", "Namespace", "Parameter", "State", "Variable", "unique"],
+    "bristle.model.variables": ["Namespace", "Parameter", "State", "Variable"],
     "bristle.observer": ["methods", "observer_program"],
     "bristle.observer.method": [
         "EquationContext", "Method", "Sample", "Update", "observer", "stack", "stack_symmetric", "symmetric_states", "unstack",

@@ -14,7 +14,12 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.common.plugins import PLUGINS_VARIABLE, plugin_folders
+from bristle.harness.catalogue import scenarios
+from bristle.observer import methods, observer_program
+from bristle.plant import effects as effect_package
+from bristle.plant.effects import effects
 from bristle.plant.friction import laws
+from bristle.plant.servo import servo_program
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -135,3 +140,119 @@ def test_a_file_that_does_not_load_is_refused_with_its_name(monkeypatch, tmp_pat
     monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path))
     with pytest.raises(BristleError, match=r"broken\.py: ModuleNotFoundError"):
         laws()
+
+
+LAW, EFFECT, METHOD = "laws/lorentzian.py", "effects/cable_spring.py", "observers/projection.py"
+DECLARED = {"laws": laws, "effects": effects, "observers": methods}
+KINDS_OF_FILE = pytest.mark.parametrize("file", [LAW, EFFECT, METHOD])
+
+
+@pytest.fixture
+def plugin(monkeypatch, tmp_path):
+    """Return what writes a file of the page into a plug-in folder, changed, and returns its path; effects are read anew."""
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path))
+
+    def write(file: str, old: str, new: str, name: str = "") -> Path:
+        text = FILES[f"my_models/{file}"]
+        assert old in text
+        path = tmp_path / Path(file).with_stem(name or Path(file).stem)
+        path.parent.mkdir()
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+        return path
+
+    effect_package._catalogue.cache_clear()
+    yield write
+    effect_package._catalogue.cache_clear()
+
+
+@KINDS_OF_FILE
+def test_the_files_of_the_page_are_accepted(plugin, file):
+    plugin(file, "", "")
+    assert Path(file).stem in DECLARED[file.split("/")[0]]()
+
+
+UNKNOWN_KEY = f"armstrong{1997}"
+MISTAKES = [
+    (LAW, '"N.m", 0.004', '"N.mm", 0.004', "parameter 'lorentzian.Fc': unit 'N.mm'"),
+    (LAW, '"N.m", 0.004', '"mN.m", 0.004', "unit 'mN.m' is 0.001 of the SI unit"),
+    (LAW, '"N.m", 0.004', '"N.q", 0.004', "'q' is not known"),
+    (LAW, '"N.m", 0.004', "None, 0.004", "LAW is malformed: AttributeError"),
+    (LAW, "0.004, 1e-9", "0.004, 1e-2", "default 0.004 is outside [0.01, 1e+06] N.m"),
+    (LAW, '"armstrong1994 (L', f'"{UNKNOWN_KEY} (L', f"'{UNKNOWN_KEY}' is no key (did you mean 'armstrong1994'?)"),
+    (LAW, 'friction", "armstrong1994"', 'friction", "my rig"', "parameter 'lorentzian.Fc': source 'my rig': names no key"),
+    (LAW, '"lorentzian.Fc", "Fc"', '"Fc", "Fc"', "parameter 'Fc' must be called 'lorentzian.…'"),
+    (LAW, '    "lorentzian",', '    "Lorentz law",', "name 'Lorentz law': write lower-case letters"),
+    (LAW, "LAW =", "OTHER =", "no LAW that is a FrictionLaw"),
+    (LAW, "LAW =", "LAW = 3\nOTHER =", "no LAW that is a FrictionLaw"),
+    (EFFECT, 'off={"stiffness"', 'off={"stifness"', "off: 'stifness' is no parameter of the effect (did you mean 'stiffness'?)"),
+    (EFFECT, "    load_side", '    periods="turns",\n    load_side', "periods or free_play: 'turns' is no parameter"),
+    (EFFECT, '    "cable_spring",', '    "cable-spring",', "name 'cable-spring': write lower-case letters"),
+    (EFFECT, '"theta",)', '"position",)', "residual: 'position' is no view"),
+    (EFFECT, '"gravity", "bias"', '"gravty", "bias"', "confounded: 'gravty' is no effect (did you mean 'gravity'?)"),
+    (EFFECT, 'group="cable_spring"', 'group="bias"', "group 'bias' lacks 'cable_spring'"),
+    (EFFECT, '"{torque} of', '"{tork} of', "EFFECT is malformed: KeyError: 'tork'"),
+    (EFFECT, '"N.m/rad"', '"Nm/rad"', "did you mean 'N.m'?"),
+    (METHOD, '"rad/s", 1.5', '"rads", 1.5', "parameter 'projection.vc': unit 'rads'"),
+    (METHOD, '"ljung1999 section 11.2",\n    "y_v"', '"ljung section 11.2",\n    "y_v"', "names no key"),
+    (METHOD, 'State("v", "rad/s"', 'State("v", "rad/h"', "state 'v': unit 'rad/h'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("file", "old", "new", "words"), MISTAKES)
+def test_a_mistake_in_a_declaration_is_told_with_the_file_when_it_is_loaded(plugin, message, file, old, new, words):
+    path = plugin(file, old, new)
+    text = message(DECLARED[file.split("/")[0]])
+    assert text.startswith(f"{path}: ")
+    assert words in text
+
+
+@pytest.mark.parametrize("name", ["", "aaa", "zzz"])
+@pytest.mark.parametrize(("file", "shipped"), [(LAW, "dahl"), (EFFECT, "bias"), (METHOD, "rls")])
+def test_a_plugin_called_like_something_shipped_is_the_one_to_blame(plugin, message, file, shipped, name):
+    """Whatever the order of the two files."""
+    path = plugin(file, f'    "{Path(file).stem}",', f'    "{shipped}",', name or shipped)
+    text = message(DECLARED[file.split("/")[0]])
+    assert text.startswith(f"{path}: ")
+    assert f"is called '{shipped}', as in " in text
+    assert f"{shipped}.py; give it a name of its own" in text
+
+
+def test_a_folder_may_have_its_own_references(plugin, tmp_path):
+    plugin(LAW, '"armstrong1994 (L', f'"{UNKNOWN_KEY} (L')
+    (tmp_path / "references.bib").write_text(f"@misc{{{UNKNOWN_KEY},\n  title = {{A rig}},\n}}\n", encoding="utf-8")
+    assert laws()["lorentzian"].source.startswith(UNKNOWN_KEY)
+
+
+COMPOSED = {
+    LAW: lambda: servo_program("lorentzian"),
+    EFFECT: lambda: servo_program("coulomb", effects=("cable_spring", "bias")),
+    METHOD: lambda: observer_program("projection"),
+}
+EQUATIONS = [
+    (LAW, "p.Fs - p.Fc", "p.Fs - p.Fd", "line 16: AttributeError: no symbol 'Fd'"),
+    (LAW, "return Friction(", "return dict(", "AttributeError: 'dict' object"),
+    (LAW, "force=ca.SX(0)", 'force=ca.SX(0), rates={"z": v}', "'z' needs both a state and a rate"),
+    (EFFECT, "return ca.SX(-c.p", "return (1 / 0) * ca.SX(-c.p", "line 17: ZeroDivisionError"),
+    (EFFECT, "return ca.SX(-c.p", "return None and ca.SX(-c.p", "TypeError: "),
+    (METHOD, "def adapt(", "def adapt(*_):\n    raise ValueError('two\\nlines')\n\n\ndef unused(", "ValueError: two lines"),
+    (METHOD, "return Update(", "return (", "AttributeError: 'tuple' object"),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "words"), EQUATIONS)
+def test_an_error_in_equations_is_told_with_the_file(plugin, message, file, old, new, words):
+    path = plugin(file, old, new)
+    text = message(COMPOSED[file])
+    assert text.startswith(f"{path}: ")
+    assert words in text
+    assert text.endswith("; correct the equations")
+
+
+def test_parts_that_do_not_fit_blame_no_file(plugin, message):
+    plugin(EFFECT, "", "")
+    assert message(lambda: servo_program("viscous", effects=("cable_spring", "stribeck"))).startswith("effect 'stribeck'")
+
+
+def test_a_scenario_that_is_no_toml_is_told_with_its_file(plugin, message):
+    path = plugin("scenarios/lorentzian.toml", "[plant]", "[plant")
+    assert message(scenarios).startswith(f"{path}: not valid TOML")

@@ -17,7 +17,6 @@ from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.python import python_tables
 from bristle.model.runtime import Core
-from bristle.plant import effects as catalogue
 from bristle.plant.effect import VIEWS, Context, Evidence, RecordedMotion
 from bristle.plant.effects import effect, effects
 from bristle.plant.friction import law, laws
@@ -87,29 +86,6 @@ def test_what_is_shipped_is_the_catalogue():
     assert len(SHIPPED) == len(set(SHIPPED)) == 22
     assert list(effects()) == sorted(effects())
     assert {name for name in SHIPPED if not effect(name).off} == ALWAYS_ACTING
-
-
-@pytest.mark.parametrize(
-    ("file", "old", "new", "words"),
-    [
-        ("zbias", "", "", ("zbias.py", "called 'bias'", "effects/bias.py")),
-        ("helper", "EFFECT = ", "OTHER = ", ("helper.py", "no EFFECT")),
-        ("lead", '    "bias",', '    "lead",', ("lead.py", "parameter 'bias.torque' must be called 'lead.…'")),
-        ("mine", '"bias', '"mine', ("mine.py", "unknown effects: nonsense")),
-    ],
-)
-def test_a_mistake_in_an_effect_file_is_reported_with_the_file(file, old, new, words, monkeypatch, tmp_path):
-    text = Path(catalogue.__file__).with_name("bias.py").read_text().replace(old, new)
-    (tmp_path / f"{file}.py").write_text(text.replace('"gravity"', '"nonsense"' if file == "mine" else '"gravity"'))
-    monkeypatch.setattr(catalogue, "__path__", [*catalogue.__path__, str(tmp_path)])
-    catalogue._catalogue.cache_clear()
-    try:
-        with pytest.raises(BristleError) as caught:
-            effects()
-    finally:
-        monkeypatch.undo()
-        catalogue._catalogue.cache_clear()
-    assert all(word in str(caught.value) for word in words), caught.value
 
 
 @pytest.mark.parametrize("name", NAMES)
