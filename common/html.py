@@ -27,6 +27,11 @@ def unit(text: str) -> str:
     return "" if text == "1" else re.sub(r"(?<=[a-z])2", "²", escape(text)).replace(".", "·")
 
 
+def identifier(text: str) -> str:
+    """Return an identifier as HTML text that may break after its dots and underscores where the page is narrow."""
+    return re.sub(r"(?<=[._])(?=.)", "<wbr>", escape(text))
+
+
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
     """Return an HTML table; columns in `numeric` are right-aligned."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -49,6 +50,8 @@ CHECK_QUANTITIES = {
     "validation.fits.BASELINE.identification_mse_percent": ("%", "error of the fitted model on the first run"),
     "validation.fits.BASELINE.runs": ("1", "simulations that the fit took"),
 }
+
+_NAMES = re.compile("PARAMETER|STATE|BASELINE")
 
 
 def mse_percent(measured: Array, predicted: Array) -> float:
@@ -169,6 +172,13 @@ def look_up(result: Mapping[str, Any], path: str) -> object:
             return None
         node = node[key]
     return node
+
+
+def check_unit(result: Mapping[str, Any], path: str) -> str:
+    """Return the SI unit of a number of result.json; "1" if it has none, or if there is no such number."""
+    unit = next((unit for known, (unit, _) in CHECK_QUANTITIES.items() if re.fullmatch(_NAMES.sub("[^.]+?", known), path)), "1")
+    own = look_up(result, f"{path.rpartition('.')[0]}.unit")  # of an estimate or a state
+    return str(own or "1") if unit.startswith("of the") else unit
 
 
 def judge(result: Mapping[str, Any], checks: Sequence[Check]) -> list[dict[str, Any]]:

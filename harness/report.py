@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from bristle.common.html import badge, figure, number, page, table, unit
+from bristle.common.html import badge, figure, identifier, number, page, table, unit
+from bristle.harness.metrics import check_unit
 
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ",
@@ -35,12 +36,13 @@ def _checks(result: Mapping[str, Any]) -> str:
     signs = {"min": "≥", "max": "≤", "max_abs": "|·| ≤"}
     rows = []
     for check in result["checks"]:
-        name = escape(check["name"])
+        name = identifier(check["name"])
         if check["name"] != check["quantity"]:
-            name += f'<div class="sub">{escape(check["quantity"])}</div>'
+            name += f'<div class="sub">{identifier(check["quantity"])}</div>'
         limit = f"{signs[check['kind']]} {number(check['limit'])}"
-        rows.append((name, number(check["value"]), limit, _verdict(check["pass"])))
-    return table(("check", "value", "limit", ""), rows, (1, 2))
+        shown_unit = unit(check_unit(result, check["quantity"])) or "–"
+        rows.append((name, number(check["value"]), limit, shown_unit, _verdict(check["pass"])))
+    return table(("check", "value", "limit", "unit", ""), rows, (1, 2))
 
 
 def _estimates(result: Mapping[str, Any]) -> str:

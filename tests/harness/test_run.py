@@ -85,6 +85,17 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
     assert found == set(metrics.CHECK_QUANTITIES) - {"record.samples"}
 
 
+@pytest.mark.parametrize(
+    ("path", "unit"),
+    [
+        ("estimates.b.settling_s", "s"), ("estimates.b.final", "rad/(s2.V)"), ("states.v.rms", "rad/s"), ("tracking_rms", "rad/s"),
+        ("validation.linear_mse_percent", "%"), ("validation.mse_over_floor", "1"), ("estimates.none.final", "1"), ("nothing", "1"),
+    ],
+)  # fmt: skip
+def test_the_unit_of_a_check_is_known(finished: Run, path: str, unit: str) -> None:
+    assert metrics.check_unit(finished.result, path) == unit
+
+
 def test_result_json_keeps_the_contract(finished: Run) -> None:
     result = json.loads((finished.folder / "result.json").read_text())
     assert result["scenario"] == "whole"
