@@ -14,6 +14,7 @@ from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, disturbance_ratio, fit_with_noise, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.likelihood import Fit, errors, mean_square, squares
 from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
+from bristle.diagnosis.estimation.simulator import Free
 from bristle.diagnosis.estimation.uncertainty import estimates
 from bristle.diagnosis.localisation.residual_localisation import localise
 from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, unexplained
@@ -223,11 +224,14 @@ def wider_bounds(case: Case, final: FittedModel) -> str:
     free = tuple(f.widened(BOUND_FACTOR) if f.name in tight else f for f in case.base.servo.free)
     wide = fit_with_noise(case.dataset, replace(case.base.servo, free=free), values)
     price = 0.5 * (len(final.fit.free) - len(wide.fit.free)) * math.log(np.count_nonzero(case.dataset.train) + 1.0)
-    if wide.fit.total < final.fit.total - price:
-        return ""
+    return "" if wide.fit.total < final.fit.total - price else widening(case.model, tight, wide.fit.values)
+
+
+def widening(model: Model, tight: Mapping[str, Free], values: Mapping[str, float]) -> str:
+    """Return the proposal to widen those tight bounds that the values of a better fit leave, or "" if they leave none."""
     lines = []
     for name, f in tight.items():
-        value, unit = wide.fit.values[name], case.model.unit(name)
+        value, unit = values[name], model.unit(name)
         if not f.low <= value <= f.high:  # the others are at a bound only because of these
             lines.append(f"{name} near {value:.3g} {unit}, outside its bounds [{f.low:.4g}, {f.high:.4g}]")
     better = "without any effect better than with effects within the bounds"

@@ -15,7 +15,7 @@ from bristle.diagnosis.estimation import uncertainty as intervals
 from bristle.diagnosis.estimation.dataset import HELD_OUT_EVERY, Motion
 from bristle.diagnosis.estimation.likelihood import Point
 from bristle.diagnosis.estimation.optimiser import perturbed
-from bristle.diagnosis.estimation.simulator import Free, Servo
+from bristle.diagnosis.estimation.simulator import Free
 from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, line_p, spectrum
 from bristle.diagnosis.localisation.views import clocks
 from bristle.diagnosis.preparation import base_servo_of
@@ -219,18 +219,15 @@ def test_no_interval_leaves_what_a_parameter_may_be(monkeypatch, fabricated):
 
 
 @pytest.mark.parametrize(("friction", "lines"), [(0.1, ["J"]), (0.6, ["J", "coulomb.Fc"])])
-def test_only_bounds_that_the_records_leave_are_proposed_to_be_widened(monkeypatch, fabricated, friction, lines):
+def test_only_bounds_that_the_records_leave_are_proposed_to_be_widened(fabricated, friction, lines):
     """What ended at a bound only to make up for another one stays inside when that gives way."""
-    free = (Free("J", 0.003, 0.006), Free("coulomb.Fc", 0.01, 0.5))
-    base = SimpleNamespace(
-        servo=Servo("coulomb", (), (), free, {}, True), fit=SimpleNamespace(values={"J": 0.006, "coulomb.Fc": 0.5})
-    )
-    final = SimpleNamespace(fit=SimpleNamespace(total=100.0, free=free))
-    wide = SimpleNamespace(fit=SimpleNamespace(total=200.0, free=free, values={"J": 0.01, "coulomb.Fc": friction}))
-    monkeypatch.setattr(conclusion, "fit_with_noise", lambda dataset, servo, values: wide)
-    model = replace(fabricated.model(), bounds={f.name: (f.low, f.high) for f in free})
-    line = conclusion.wider_bounds(conclusion.Case(model, (), SimpleNamespace(train=np.ones(9)), base), final)
-    assert [name for name in ("J", "coulomb.Fc") if f"{name} near" in line] == lines
+    tight = {f.name: f for f in (Free("J", 0.003, 0.006), Free("coulomb.Fc", 0.01, 0.5))}
+    line = conclusion.widening(fabricated.model(), tight, {"J": 0.01, "coulomb.Fc": friction})
+    assert [name for name in tight if f"{name} near" in line] == lines
+
+
+def test_nothing_is_proposed_where_the_records_leave_no_bound(fabricated):
+    assert conclusion.widening(fabricated.model(), {"J": Free("J", 0.003, 0.006)}, {"J": 0.006}) == ""
 
 
 def test_a_moment_moves_by_seconds_and_a_play_by_factors():
@@ -373,17 +370,18 @@ def test_an_effect_may_be_given_start_values_and_all_effort(case):
     assert propose_effect(context, ["compliance"], None, QUICK).outcome == "added"
 
 
-def test_a_contact_is_found_because_its_load_is_initialised(case, monkeypatch):
-    """From start values that are far off, in few steps; further from the truth without that."""
-    made = case("backlash", share=0.3, play=0.04, stiffness=350.0, dissipation=2.3)
-    context = SearchContext(made.dataset, made.base)
-    found = propose_effect(context, ["backlash"], None, QUICK)
+def test_a_contact_is_found_because_its_load_is_initialised(case):
+    """From start values that are far off, in few steps, nearly as well as from the truth: unless the load is placed, 15 % worse."""
+    truth = {"share": 0.3, "play": 0.04, "stiffness": 350.0, "dissipation": 2.3}
+    made = case("backlash", **truth)
+    known = SearchContext(made.dataset, made.base, SearchOptions(start_values={"backlash": [truth]}))
+    best = propose_effect(known, ["backlash"], None, QUICK)
+    found = propose_effect(SearchContext(made.dataset, made.base), ["backlash"], None, QUICK)
     assert found.outcome == "added"
     assert found.gain > 1000
     # contacts amplify rounding: 0.0378 after the few steps of a quick search with another version of the linear algebra
-    assert found.best.fit.values["backlash.play"] == pytest.approx(0.04, rel=0.1)
-    monkeypatch.setattr("bristle.diagnosis.estimation.initial_states.PLAY_SIDES", ())
-    assert propose_effect(context, ["backlash"], None, QUICK).gain < found.gain - 100
+    assert found.best.fit.values["backlash.play"] == pytest.approx(truth["play"], rel=0.1)
+    assert found.gain > 0.9 * best.gain
 
 
 def test_a_model_that_lacks_nothing_fits_well(case):
