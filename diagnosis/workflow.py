@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
@@ -13,7 +13,7 @@ from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
-from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, as_diagnosis, conclude
+from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
 from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
 from bristle.diagnosis.report import result as answer
@@ -51,26 +51,52 @@ def diagnose(
         cannot be simulated.
     """
     check_arguments(model, records)
-    tell, started = teller(progress), time.perf_counter()
+    tell = teller(progress)
+    return search_prepared(lambda given: _prepared(model, given, tell), records, tell, options or SearchOptions())
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A case to be searched, and what is added to its diagnosis once the conclusion is known."""
+
+    case: Case
+    additions: Callable[[Conclusion], Additions]
+
+
+Prepare = Callable[[Sequence[Record]], Prepared | answer.Diagnosis]  # a diagnosis where nothing can be searched
+
+
+def _prepared(model: Model, records: Sequence[Record], tell: Progress) -> Prepared | answer.Diagnosis:
+    """Return the model fitted to the records, or a diagnosis where both seem to describe different things."""
+    said, dataset = check(model, records), dataset_of(model, records)
+    if said.proposals:
+        return not_searched(model, records, nominal_gap(dataset, *base_servo_of(model, dataset)), implausible(said))
+    tell("base refit", 0.0)
+    dataset, base, lines = prepare_model(model, records, dataset)
+    return Prepared(Case(model, records, dataset, base), lambda found: Additions(findings_after=(*lines, *said.findings)))
+
+
+def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress, options: SearchOptions) -> answer.Diagnosis:
+    """Return the diagnosis of what `prepare` makes of the records.
+
+    Where the search finds that the input was held otherwise than the records say, they are corrected and prepared again.
+    """
+    started = time.perf_counter()
     with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
         while True:
-            said, dataset = check(model, records), dataset_of(model, records)
-            if said.proposals:
-                gap = nominal_gap(dataset, *base_servo_of(model, dataset))
-                return not_searched(model, records, gap, started, implausible(said))
-            tell("base refit", 0.0)
-            dataset, base, lines = prepare_model(model, records, dataset)
-            outcome = search(dataset, base, reporting(options or SearchOptions(), tell))
+            prepared = prepare(records)
+            if isinstance(prepared, answer.Diagnosis):
+                return replace(prepared, seconds=time.perf_counter() - started)
+            outcome = search(prepared.case.dataset, prepared.case.base, _reporting(options, tell))
             if outcome.input_share is None:
                 break
             records = with_input_share(records, outcome.input_share)
         tell("residual", 0.85)
-        case = Case(model, records, dataset, base)
-        found = conclude(case, outcome)
-        return as_diagnosis(case, found, started, Additions(findings_after=(*lines, *said.findings)))
+        found = conclude(prepared.case, outcome)
+        return as_diagnosis(prepared.case, found, started, prepared.additions(found))
 
 
-def reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
+def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:
     """Return the options of a search that reports its progress as a part of the whole diagnosis."""
     return replace(options, progress=lambda name, share: tell(f"trying {name}", 0.1 + 0.7 * share))
 
@@ -100,11 +126,11 @@ def implausible(said: Plausibility, lines: Sequence[str] = ()) -> Additions:
     return Additions([f"{why}{proposed}{'' if proposed.endswith('?') else '.'}"], lines, said.findings, proposals=said.proposals)
 
 
-def not_searched(model: Model, records: Sequence[Record], gap: float, started: float, said: Additions) -> answer.Diagnosis:
+def not_searched(model: Model, records: Sequence[Record], gap: float, said: Additions) -> answer.Diagnosis:
     """Return a diagnosis without a search; `gap` is the mean squared error of the model [output squared], `said` is why."""
     return answer.Diagnosis(
         verdict="not_identifiable", statement=tuple(said.statement), effects=(), ties=(), experiment="", where=(),
         remains=NOTHING_LEFT, gap=answer.Gap(gap, gap, None, model.output_unit), excitation=excitation(model, records),
         findings=(*said.findings_before, *(f for r in records for f in r.findings), *said.findings_after), base={}, parameters={},
-        rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals, seconds=time.perf_counter() - started,
+        rounds=(), undetected={}, traces=(), model=model, proposals=said.proposals,
     )  # fmt: skip

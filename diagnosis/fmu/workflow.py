@@ -7,17 +7,13 @@ output. An effect that is then missing in the servo is missing in the FMU.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from bristle.common.errors import BristleError
-from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import check
-from bristle.diagnosis.conclusion import Additions, Case, Conclusion, as_diagnosis, conclude
+from bristle.diagnosis.conclusion import Additions, Case, Conclusion
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
 from bristle.diagnosis.estimation.likelihood import mean_square
 from bristle.diagnosis.fmu.equivalent_servo import EquivalentServo, fit_equivalent_servo, search_bounds, widened_bounds
@@ -26,8 +22,7 @@ from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
-from bristle.diagnosis.selection.stepwise import search
-from bristle.diagnosis.workflow import check_arguments, implausible, not_searched, reporting, teller
+from bristle.diagnosis.workflow import Prepared, check_arguments, implausible, not_searched, search_prepared, teller
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT
 from bristle.records.record import Record
@@ -65,36 +60,34 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     check_arguments(model, records)
     tell = teller(progress)
     fmu = _checked(Fmu(fmu_path, foreign=True), model)
-    started = time.perf_counter()
-    with threadpool_limits(1, user_api="blas"):
-        while True:
-            dataset, said = dataset_of(model, records), check(model, records)
-            segments, lines = simulate_segments(fmu, dataset, tell)
-            lines += _units(fmu, model)
-            if said.proposals:
-                gap = replace(dataset, segments=segments)
-                nominal = nominal_gap(gap, *base_servo_of(model, gap))
-                return not_searched(model, records, nominal, started, implausible(said, lines))
-            tell("fitting a servo to the FMU", 0.05)
-            twin = fit_equivalent_servo(model, dataset, replace(dataset, segments=segments))
-            lines.append(_closeness(fmu, model, twin))
-            like = replace(model, parameters={name: float(twin.values[name]) for name in model.parameters})
-            free = replace(like, bounds=search_bounds(model, twin))
-            base = fit_from_several_starts(twin.dataset, *base_servo_of(free, twin.dataset))
-            left = mean_square(base.fit, twin.dataset.held_out)
-            kept = replace(like, bounds=widened_bounds(model, like.parameters))
-            if twin.error > max(FMU_ERROR_RATIO * math.sqrt(left), base.problem.noise.sensor):
-                return not_searched(kept, records, left, started, Additions([_why_refused(kept, twin, left)], lines))
-            outcome = search(twin.dataset, base, reporting(SearchOptions(), tell))
-            if outcome.input_share is None:
-                break
-            records = with_input_share(records, outcome.input_share)
-        tell("residual", 0.85)
-        case = Case(free, records, twin.dataset, base)
-        found = conclude(case, outcome)
+    return search_prepared(lambda given: _prepared(fmu, model, given, tell), records, tell, SearchOptions())
+
+
+def _prepared(fmu: Fmu, model: Model, records: Sequence[Record], tell: Progress) -> Prepared | answer.Diagnosis:
+    """Return a servo fitted to the FMU and then to the records, or a diagnosis where that makes no sense."""
+    dataset, said = dataset_of(model, records), check(model, records)
+    segments, lines = simulate_segments(fmu, dataset, tell)
+    lines += _units(fmu, model)
+    if said.proposals:
+        simulated = replace(dataset, segments=segments)
+        return not_searched(model, records, nominal_gap(simulated, *base_servo_of(model, simulated)), implausible(said, lines))
+    tell("fitting a servo to the FMU", 0.05)
+    twin = fit_equivalent_servo(model, dataset, replace(dataset, segments=segments))
+    lines.append(_closeness(fmu, model, twin))
+    like = replace(model, parameters={name: float(twin.values[name]) for name in model.parameters})
+    free = replace(like, bounds=search_bounds(model, twin))
+    base = fit_from_several_starts(twin.dataset, *base_servo_of(free, twin.dataset))
+    left = mean_square(base.fit, twin.dataset.held_out)
+    kept = replace(like, bounds=widened_bounds(model, like.parameters))
+    if twin.error > max(FMU_ERROR_RATIO * math.sqrt(left), base.problem.noise.sensor):
+        return not_searched(kept, records, left, Additions([_why_refused(kept, twin, left)], lines))
+
+    def additions(found: Conclusion) -> Additions:
         wrong = _wrong(fmu, found, twin)
         agrees = [] if wrong or found.verdict != "none" or found.remains.flag else [_agreement(fmu, found, twin)]
-        return as_diagnosis(case, found, started, Additions(agrees, (*lines, *wrong), model=kept))
+        return Additions(agrees, (*lines, *wrong), model=kept)
+
+    return Prepared(Case(free, records, twin.dataset, base), additions)
 
 
 def _checked(fmu: Fmu, model: Model) -> Fmu:
