@@ -19,43 +19,29 @@ NEEDS = Requirements(LEAST_SAMPLES, LEAST_DURATION, SHORTEST_PERIOD, LONGEST_PER
 
 
 def load_records(model: Model, paths: Path | str | Sequence[Path | str]) -> list[Record]:
-    """Read measured files as `bristle.records.read_records` does, with what a diagnosis needs.
+    """Read measured files, checked and repaired as a diagnosis needs it.
 
     Parameters
     ----------
-    model : Model
-        Names the columns and their units.
-    paths : path or sequence of path
-        CSV, MAT, NPZ or Parquet files, each once.
-
-    Returns
-    -------
-    list of Record
-        At least one for each file, all with the same sampling period.
-
-    Raises
-    ------
-    BristleError
-        One line: what, where, what is allowed, what to do.
+    model, paths
+        As layout and paths of `bristle.records.read_records`, as are what it returns and its errors.
     """
     must_be_model(model)
     return intake.read_records(model, paths, NEEDS)
 
 
 def records_from_arrays(model: Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
-    """Check records in memory as `bristle.records.records_from_arrays` does, with what a diagnosis needs.
+    """Check records in memory and repair them as a diagnosis needs it.
 
     Parameters
     ----------
-    model : Model
-        What the arrays are; its column names and units are not used.
-    arrays : iterable of (name, time, u, y)
-        Arrays of shape (n,) in SI: seconds, the model's `input_unit` and `output_unit`.
+    model, arrays
+        As layout and arrays of `bristle.records.records_from_arrays`, as are what it returns and its errors.
     """
     must_be_model(model)
     return intake.records_from_arrays(model, arrays, NEEDS)
 
 
 def must_show(model: Model, records: Sequence[Record]) -> None:
-    """Raise `BristleError` where records, made by hand maybe, are too short, impossible or without motion."""
+    """Refuse records, made by hand maybe, as `bristle.records.intake.must_show` does."""
     intake.must_show(model, records, NEEDS)
