@@ -45,7 +45,7 @@ def test_a_selector_is_read_by_the_names_the_fmu_gives_its_laws(tmp_path):
 
 
 def test_an_unusable_fmu_is_refused_in_one_line(tmp_path):
-    with pytest.raises(BristleError, match=r"no parameter 'J' to scale by; give a MODEL\.toml"):
+    with pytest.raises(BristleError, match=r"no parameter 'J' to scale by; give a model file"):
         fmu_model(obtain("controller"))
     with pytest.raises(BristleError, match="No such file"):
         fmu_model(tmp_path / "nowhere.fmu")
