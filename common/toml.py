@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
 
 from bristle.common.errors import BristleError, suggest
 
@@ -80,6 +81,13 @@ def _types(annotation: Any) -> list[Any]:
     return [annotation] if not inner else [t for arg in inner for t in _types(arg)]
 
 
+def _missing_keys(path: Path | str, found: Sequence[ErrorDetails]) -> BristleError:
+    """Return the error for all keys that are missing; an error may say in its context which keys could take the place of one."""
+    keys = [e.get("ctx", {}).get("keys", _dotted(e["loc"])) for e in found if e["type"] == "missing"]
+    more = f" (and {len(found) - len(keys)} more)" if len(found) > len(keys) else ""
+    return mistake(path, ", ".join(keys), None, f"missing; add {'it' if len(keys) == 1 else 'them'}{more}")
+
+
 def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationError) -> BristleError:
     """Return the first error that pydantic found, in one line."""
     found = error.errors()
@@ -93,7 +101,7 @@ def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationEr
         known = list(section.model_fields) if section else []
         return mistake(path, key, value, f"unknown key{suggest(str(location[-1]), known)}; allowed here: {', '.join(known)}{more}")
     if kind == "missing":
-        return mistake(path, key, None, f"missing; add it{more}")
+        return _missing_keys(path, found)
     if kind == "value_error":
         shown = value if key and not isinstance(value, (dict, Section)) else None
         return mistake(path, key, shown, f"{context.get('error')}{more}")

@@ -52,6 +52,17 @@ CHECK_QUANTITIES = {
 }
 
 _NAMES = re.compile("PARAMETER|STATE|BASELINE")
+STATES = ("v", "w")  # whose true values a plant of bristle gives
+
+
+def check_quantities(parameters: Sequence[str], baselines: Sequence[str]) -> list[str]:
+    """Return the paths that a check may demand, given the names of the estimated parameters and of the fitted models."""
+    names = {"PARAMETER": parameters, "STATE": STATES, "BASELINE": baselines}
+    found = []
+    for path in CHECK_QUANTITIES:
+        stands = _NAMES.search(path)
+        found += [path] if stands is None else [path.replace(stands[0], name) for name in names[stands[0]]]
+    return found
 
 
 def mse_percent(measured: Array, predicted: Array) -> float:

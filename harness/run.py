@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.errors import suggest
 from bristle.common.output import output_folder, plain, to_json
 from bristle.fmus.host import Fmu
 from bristle.harness import metrics, results
@@ -24,7 +25,15 @@ from bristle.harness.loop import Bus, Trace, simulate
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
 from bristle.harness.plan import validation as validation_bus
 from bristle.harness.scenario import load
-from bristle.harness.validation import Validation, given_parameters, identification_data, identified_model, lean_fmus, validate
+from bristle.harness.validation import (
+    BASELINES,
+    Validation,
+    given_parameters,
+    identification_data,
+    identified_model,
+    lean_fmus,
+    validate,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
@@ -103,7 +112,23 @@ def check(path: Path, out: Path, options: Options | None = None, progress: Progr
             if setup.scenario.validation is not None:
                 lean = lean_fmus()
                 validation_bus(setup)
+            _check_quantities(setup)
             return Checked(setup, out, options, identification(setup), lean, clock)
+
+
+def _check_quantities(setup: Setup) -> None:
+    """Refuse a check of a number that no result has, or not that of this scenario."""
+    observer, scenario = setup.fmus["observer"], setup.scenario
+    hats = [name.removesuffix("_hat") for name in observer.names("output") if name.endswith("_hat")]
+    known = metrics.check_quantities([name for name in hats if observer.has(f"{name}_valid", "output")], list(BASELINES))
+    absent = [part for part in ("validation", "record") if getattr(scenario, part) is None]
+    for i, demand in enumerate(scenario.checks):
+        part, key = demand.quantity.partition(".")[0], f"checks[{i}].quantity"
+        if part in absent:
+            raise setup.loaded.error(key, demand.quantity, f"the scenario has no [{part}]; add it or remove the check")
+        if demand.quantity not in known:
+            what = f"no number of the result{suggest(demand.quantity, known)}"
+            raise setup.loaded.error(key, demand.quantity, f"{what}; choose one of the check quantities in the scenario reference")
 
 
 def run(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Run:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bristle.common.errors import BristleError
 from bristle.common.table import Array
 from bristle.harness.scenario import Loaded
 from bristle.records import Layout, Record, read_record
@@ -34,7 +35,10 @@ def read_samples(loaded: Loaded) -> Samples:
     scenario = loaded.scenario
     assert scenario.record is not None
     layout = _layout(loaded)
-    record = read_record(layout, loaded.beside(scenario.record.file))
+    try:
+        record = read_record(layout, loaded.beside(scenario.record.file))
+    except BristleError as error:
+        raise loaded.error("record.file", scenario.record.file, str(error)) from None
     if "step" in scenario.model_fields_set and abs(scenario.step - record.h) > STEP_TOLERANCE * record.h:
         raise loaded.error("step", f"{scenario.step:g} s", f"the record is sampled every {record.h:g} s; leave step out")
     count = len(record)

@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from bristle.common.errors import BristleError
 from bristle.common.toml import InUnit, Section, first_mistake, mistake, read_toml
@@ -140,7 +141,7 @@ class Scenario(Section):
     """What the controller reads."""
     stimuli: list[Stimulus] = Field(default=[])
     """Inputs of the plant that change at given times."""
-    record: Record | None = None
+    record: Record | None = Field(default=None, validate_default=True)
     """A measured file in place of plant and controller."""
     validation: Validation | None = None
     """A second run, on which the identified model is compared with others."""
@@ -154,10 +155,17 @@ class Scenario(Section):
             raise ValueError("is empty; a verdict needs at least one [[checks]]")
         return given
 
+    @field_validator("record")
+    @classmethod
+    def _something_to_run_on(cls, record: Record | None, info: ValidationInfo) -> Record | None:
+        if record is None and info.data.get("plant", ...) is None:
+            raise PydanticCustomError("missing", "missing", {"keys": "plant or record"})
+        return record
+
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
-        if (self.plant is None) == (self.record is None):
-            raise ValueError("give either [plant] or [record]" + (", not both" if self.plant else ""))
+        if self.plant and self.record:
+            raise ValueError("give either [plant] or [record], not both")
         if self.record and (self.stimuli or self.validation or "controller" in self.model_fields_set):
             raise ValueError("[record] replaces plant and controller; remove [controller], [[stimuli]] and [validation]")
         if self.open_loop and (self.validation or "controller" in self.model_fields_set):

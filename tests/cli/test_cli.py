@@ -111,6 +111,28 @@ min = -1e9
     assert f"bristle: {result['notes'][0]}" == line
 
 
+def test_what_was_found_in_a_record_is_printed(cli: Cli, tmp_path: Path) -> None:
+    rows = [f"{0.001 * k + 0.0001 * math.sin(k * k)},{math.sin(0.02 * k)},{math.cos(0.01 * k)}" for k in range(500)]
+    (tmp_path / "r.csv").write_text("\n".join(["t,u,y", *rows]))
+    scenario = tmp_path / "recorded.toml"
+    scenario.write_text("""
+[record]
+file = "r.csv"
+time = { column = "t", unit = "s" }
+input = { column = "u", unit = "V", kind = "voltage" }
+output = { column = "y", unit = "rad", kind = "position" }
+[observer]
+method = "rls"
+[[checks]]
+quantity = "record.samples"
+min = 100
+""")
+    head, note = cli("run", scenario, "--out", tmp_path / "out").stdout.splitlines()
+    assert head.startswith("recorded ")
+    assert note.startswith("  - record r: sampling intervals scatter by ")
+    assert note[4:] in json.loads((tmp_path / "out/recorded/result.json").read_text())["notes"]
+
+
 def test_all_scenarios_are_checked_before_the_first_runs(cli: Cli, case: Path, tmp_path: Path) -> None:
     """Paths, keys, and what only the FMUs can tell; all that are wrong are named."""
     keys, fmus = tmp_path / "keys.toml", tmp_path / "fmus.toml"

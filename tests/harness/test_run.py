@@ -83,6 +83,8 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
     found = {re.sub(r"(?<=[._])(linear|coulomb|floor)(?=_mse|$|\.)", "BASELINE", path) for path in found}
     found = {path for path in found if not path.startswith(("timing.", "wall_s"))}  # known only when the checks are done
     assert found == set(metrics.CHECK_QUANTITIES) - {"record.samples"}
+    demanded = {path for path in paths(result, "") if not path.startswith(("timing.", "wall_s"))}
+    assert demanded <= set(metrics.check_quantities(list(result["estimates"]), ["linear", "coulomb", "floor"]))
 
 
 @pytest.mark.parametrize(

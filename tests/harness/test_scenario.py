@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from bristle.harness.plan import find_fmus, identification, prepare
+from bristle.harness.run import check
 from bristle.harness.scenario import load
 
 Maker = Callable[..., Path]
@@ -82,6 +83,40 @@ def test_a_mistake_is_one_line_with_file_key_and_remedy(
     assert line.startswith(f"{path}: ")
     for word in words:
         assert word in line, line
+
+
+@pytest.mark.parametrize(
+    ("text", "keys"),
+    [
+        ("", "observer, plant or record, checks"),
+        ('[plant]\nlaw = "modified"\n', "observer, checks"),
+        ('[observer]\nmethod = "rls"\n[[checks]]\nquantity = "steps"\nmin = 1\n', "plant or record"),
+        ('[record]\nfile = "r.csv"\n', "observer, record.time, record.input, record.output, checks"),
+    ],
+)
+def test_all_missing_keys_are_told_at_once(text: str, keys: str, scenario_file: Maker, message: Message) -> None:
+    path = scenario_file(text)
+    assert message(lambda: load(path)) == f"{path}: {keys}: missing; add {'them' if ',' in keys else 'it'}"
+
+
+@pytest.mark.parametrize(
+    ("quantity", "words"),
+    [
+        ("estimates.b.eror_percent", "no number of the result (did you mean 'estimates.b.error_percent'?)"),
+        ("estimates.beta.final", "no number of the result (did you mean"),
+        ("states.v.late_rsm", "no number of the result (did you mean 'states.v.late_rms'?)"),
+        ("verdict", "no number of the result; choose one of the check quantities in the scenario reference"),
+        ("validation.mse_percent", "the scenario has no [validation]"),
+        ("record.samples", "the scenario has no [record]"),
+    ],
+)
+def test_a_check_of_a_number_that_there_is_not_is_refused(
+    quantity: str, words: str, base: str, scenario_file: Maker, message: Message, tmp_path: Path
+) -> None:
+    path = scenario_file(base.replace("estimates.b.error_percent", quantity))
+    text = message(lambda: check(path, tmp_path / "out"))
+    assert text.startswith(f'{path}: checks[0].quantity = "{quantity}": {words}')
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_unchanged_file_is_accepted(base: str, scenario_file: Maker) -> None:
