@@ -90,9 +90,11 @@ def list_command() -> None:
     """List friction laws, observer methods, effects and the scenarios that come with bristle."""
     from bristle.harness.catalogue import catalogue
     from bristle.plant.effects import effects
+    from bristle.plant.signal_effects import SIGNAL_EFFECTS
 
     found = {name: f"{e.description} (class {e.group})" if e.group != name else e.description for name, e in effects().items()}
-    for title, entries in {**catalogue(), "effects": found}.items():
+    signal = {name: e.description for name, e in SIGNAL_EFFECTS.items()}
+    for title, entries in {**catalogue(), "effects": found, "effects on signals (not part of a diagnosis)": signal}.items():
         print(f"{title}:")
         width = max((len(name) for name in entries), default=0)
         for name, description in entries.items():
@@ -110,16 +112,18 @@ def build(
     kind: KindOption = Kind.native,
     law: Annotated[str | None, typer.Option(help="a lean plant of one friction law")] = None,
     method: Annotated[str | None, typer.Option(help="a lean observer of one method")] = None,
+    effects: Annotated[str | None, typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...")] = None,
     debug: DebugOption = False,
 ) -> None:
     """Build FMUs."""
-    from bristle.harness.catalogue import build_file
+    from bristle.harness.catalogue import Choice, build_file
 
-    parts = [w.value for w in What if w is not What.all] if what is What.all else [what.value]
-    for part in parts:
-        chosen = {"law": law if part == "plant" or what is not What.all else None,
-                  "method": method if part == "observer" or what is not What.all else None}  # fmt: skip
-        print(build_file(part, out, fmi=int(fmi.value), kind=kind.value, **chosen))
+    added = tuple(name.strip() for name in effects.split(",")) if effects else ()
+    choices = {"plant": Choice(law, None, added), "observer": Choice(None, method), "controller": Choice()}
+    if what is not What.all:
+        choices = {what.value: Choice(law, method, added)}
+    for part, choice in choices.items():
+        print(build_file(part, out, fmi=int(fmi.value), kind=kind.value, choice=choice))
 
 
 # -- run -------------------------------------------------------------------------------------------------------------

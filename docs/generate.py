@@ -27,6 +27,7 @@ from bristle.plant.effect import VIEWS
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws
 from bristle.plant.servo import LOAD_STARTS, servo_program
+from bristle.plant.signal_effects import SIGNAL_EFFECTS
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("common", "model", "plant", "observer", "records", "fmus", "harness", "diagnosis")
@@ -52,11 +53,23 @@ def table(parameters: list[Parameter]) -> list[str]:
 def effects_text(shown: Collection[str]) -> list[str]:
     """Return the table of these effects, and the parameters of each."""
     known = [e for e in effects().values() if e.name in shown]
-    text = ["", "## Effects", "", "An effect joins one friction law: `servo_program(law, effects=(...))`.", ""]
-    text += ["| effect | class | equation | residual in | needs | confounded with | source |", "|---|---|---|---|---|---|---|"]
+    text = ["", "## Effects", "", "An effect joins a friction law: `[plant] effects` of a scenario, `bristle build --effects`.", ""]
+    text += [
+        "| effect | class | equation | residual in | needs | confounded with | no true value of | source |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     for e in known:
         residual = "; ".join(VIEWS[view] for view in e.residual)
-        cells = [f"`{e.name}`", e.group, e.equation, residual, e.excitation, ", ".join(e.confounded), e.source]
+        cells = [
+            f"`{e.name}`",
+            e.group,
+            e.equation,
+            residual,
+            e.excitation,
+            ", ".join(e.confounded),
+            ", ".join(e.without_truth),
+            e.source,
+        ]
         text.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     for e in known:
         text += ["", f"### Effect `{e.name}`: {e.description}", "", *table(list(e.parameters))]
@@ -75,6 +88,9 @@ def parameters_page(shown: Catalogue | None = None) -> str:
             text += ["", f"## Law `{law.name}`: {law.description}", "", *table(list(law.parameters))]
     text += effects_text(shown["effects"])
     text += ["", "### Every effect with a second inertia", "", *table(list(LOAD_STARTS))]
+    text += ["", "## Effects on signals", "", "They join a servo like the effects above; a diagnosis does not look for them."]
+    for e in SIGNAL_EFFECTS.values():
+        text += ["", f"### Effect `{e.name}`: {e.description}", "", *table(list(e.parameters))]
     for method in (m for m in methods().values() if m.name in shown["observers"]):
         heading = f"## Observer `{method.name}`: {method.description}"
         text += ["", heading, "", f"Reads `u` and `{method.reads}`.", "", *table(list(method.parameters))]

@@ -45,11 +45,11 @@ def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None, 
     return law if what == "plant" else method
 
 
-def program_of(what: str, variant: str | None = None, effects: Sequence[str] = ()) -> Program:
-    """Return the program behind an FMU."""
+def program_of(what: str, variant: str | None = None, effects: Sequence[str] = (), encoder: bool = False) -> Program:
+    """Return the program behind an FMU; effects and encoder as of `build`."""
     definition = importlib.import_module(f"bristle.fmus.{what}.definition")
     chosen = [] if variant is None else [variant]
-    program: Program = definition.program(*chosen, effects=effects) if effects else definition.program(*chosen)
+    program: Program = definition.program(variant, effects, encoder) if what == "plant" else definition.program(*chosen)
     return program
 
 
@@ -73,6 +73,7 @@ def build(
     law: str | None = None,
     method: str | None = None,
     effects: Sequence[str] = (),
+    encoder: bool = False,
     parameters: Mapping[str, float] | None = None,
 ) -> Path:
     """Write an FMU to a file.
@@ -90,7 +91,9 @@ def build(
     law, method : str, optional
         One friction law or one observer alone, instead of all of them behind a parameter.
     effects : sequence of str
-        Effects added to the plant of one law.
+        Effects added to the plant: of one law, or of all laws that they can join.
+    encoder : bool
+        Encoder outputs also in the plant of one smooth law, which then offers no Model Exchange. All other plants have them.
     parameters : mapping of str to float, optional
         Start values of parameters in SI units, in place of their defaults.
 
@@ -102,7 +105,7 @@ def build(
     """
     from bristle.fmus.pack import write_archive
 
-    program = program_of(what, _check(what, fmi, kind, law, method, effects), effects)
+    program = program_of(what, _check(what, fmi, kind, law, method, effects), effects, encoder)
     return write_archive(Path(out), program_files(program.preset(parameters or {}), fmi, kind))
 
 
@@ -130,13 +133,14 @@ def obtain(
     law: str | None = None,
     method: str | None = None,
     effects: Sequence[str] = (),
+    encoder: bool = False,
     parameters: Mapping[str, float] | None = None,
 ) -> Path:
     """Return an FMU as a file of the cache, built only if it is not there.
 
     Parameters
     ----------
-    what, fmi, kind, law, method, effects, parameters
+    what, fmi, kind, law, method, effects, encoder, parameters
         As of `build`.
 
     Raises
@@ -145,10 +149,10 @@ def obtain(
         As of `build`.
     """
     variant = _check(what, fmi, kind, law, method, effects)
-    key = _key(kind, what, fmi, variant, *sorted(effects), *sorted((parameters or {}).items()))
+    key = _key(kind, what, fmi, variant, encoder, *sorted(effects), *sorted((parameters or {}).items()))
     name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
-        build(what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, parameters=parameters)
+        build(what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, encoder=encoder, parameters=parameters)
 
     return cached(f"{name}.fmu", make)

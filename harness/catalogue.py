@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -63,12 +65,21 @@ def catalogue() -> dict[str, dict[str, str]]:
     }
 
 
-def build_file(what: str, out: Path, *, fmi: int, kind: str, law: str | None, method: str | None) -> Path:
+@dataclass(frozen=True)
+class Choice:
+    """What an FMU holds: one law or method, or all; effects of the plant."""
+
+    law: str | None = None
+    method: str | None = None
+    effects: Sequence[str] = ()
+
+
+def build_file(what: str, out: Path, *, fmi: int, kind: str, choice: Choice) -> Path:
     """Build an FMU into the folder `out`, named after what it is."""
     from bristle.fmus import build
 
     names = {"plant": "ServoPlant", "observer": "AdaptiveObserver", "controller": "Controller"}
-    variant = law or method
-    stem = names.get(what, what) + (f"_{variant}" if variant else "")
+    variant = choice.law or choice.method
+    stem = "_".join([names.get(what, what), *([variant] if variant else []), *sorted(choice.effects)])
     with output_folder(out):
-        return build(what, out / f"{stem}.fmu", fmi=fmi, kind=kind, law=law, method=method)
+        return build(what, out / f"{stem}.fmu", fmi=fmi, kind=kind, **vars(choice))

@@ -10,7 +10,7 @@ from bristle.common.errors import BristleError, suggest
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
 from bristle.harness.samples import Samples, read_samples
-from bristle.harness.scenario import Loaded, Part, Scenario
+from bristle.harness.scenario import Loaded, Part, Plant, Scenario
 
 Kind = Literal["native", "python"]
 
@@ -25,7 +25,7 @@ BUS_PORTS = {
 }
 NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
 SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}  # plant outputs: position, velocity
-WHOLE_PARAMETERS = {"controller": ("seed", "order")}  # Real parameters that only take whole values
+WHOLE_PARAMETERS = {"controller": ("seed", "order"), "plant": ("input_noise.seed",)}  # Real parameters that only take whole values
 SELECTOR_PARAMETERS = {"plant": "law", "observer": "method"}  # parameter that chooses among several
 
 
@@ -73,11 +73,22 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
     for name, part in parts.items():
         if part is None:
             continue
-        if part.fmu is None:
-            found[name] = Fmu(obtain(name, fmi=fmi, kind=kind))
-        else:
+        if part.fmu is not None:
             found[name] = _foreign(loaded, name, part.fmu)
+        elif isinstance(part, Plant) and part.effects:
+            found[name] = _with_effects(loaded, part, fmi, kind)
+        else:
+            found[name] = Fmu(obtain(name, fmi=fmi, kind=kind))
     return found
+
+
+def _with_effects(loaded: Loaded, plant: Plant, fmi: int, kind: Kind) -> Fmu:
+    from bristle.fmus import obtain
+
+    try:
+        return Fmu(obtain("plant", fmi=fmi, kind=kind, law=plant.law, effects=plant.effects, encoder=True))
+    except BristleError as error:
+        raise loaded.error("plant", None, str(error)) from None
 
 
 def _foreign(loaded: Loaded, name: str, file: str) -> Fmu:
@@ -126,7 +137,7 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[s
     values: dict[str, Value] = {}
     selector = SELECTOR_PARAMETERS.get(name, "")
     choice = getattr(part, selector, None)
-    if choice is not None:
+    if choice is not None and fmu.has(selector, "parameter"):
         choices = fmu.choices(selector)
         if choice not in choices:
             message = f"unknown {selector}{suggest(choice, list(choices))}; choose one of: {', '.join(choices)}"

@@ -49,6 +49,8 @@ class Plant(Part):
 
     law: str | None = None
     """Friction law of the plant that is built."""
+    effects: list[str] = Field(default=[])
+    """Effects that the plant has beside its law; their parameters are among `parameters`, such as `cogging.amplitude`."""
 
 
 class Controller(Part):
@@ -175,6 +177,8 @@ class Scenario(Section):
         for key, part, choice in (("plant", self.plant, "law"), ("observer", self.observer, "method")):
             if part is not None and (part.fmu is None) == (getattr(part, choice) is None):
                 raise ValueError(f"[{key}] needs either {choice} or fmu" + ("; both are given" if part.fmu else "; none is given"))
+        if self.plant is not None and self.plant.fmu is not None and self.plant.effects:
+            raise ValueError("[plant] effects join a law, and fmu is given; remove one of them")
         for key, duration in (("duration", self.duration), ("validation.duration", self.validation and self.validation.duration)):
             if duration:
                 _steps(key, duration, self.step)

@@ -128,6 +128,7 @@ def build(
     fmi: Literal[2, 3] = 2,
     law: str | None = None,
     method: str | None = None,
+    effects: Sequence[str] = (),
 ) -> Path:
     """Build an FMU.
 
@@ -145,6 +146,9 @@ def build(
         A plant with this friction law only, instead of all laws behind a parameter.
     method : str, optional
         An observer with this method only, instead of all methods behind a parameter.
+    effects : sequence of str, optional
+        Effects of the plant, such as ``["cogging", "bias"]``; their parameters are called ``cogging.amplitude``. Without a law, the
+        plant has all laws that the effects can join.
 
     Returns
     -------
@@ -154,13 +158,14 @@ def build(
     Raises
     ------
     BristleError
-        If there is no such part, law or method, there is no C compiler, or the folder cannot be written.
+        If there is no such part, law, method or effect, an effect cannot join the law, there is no C compiler, or the folder cannot
+        be written.
     """
-    from bristle.harness.catalogue import build_file
+    from bristle.harness.catalogue import Choice, build_file
 
     return build_file(
         as_choice("part", part, PARTS), as_path("out", out),
-        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS), law=law, method=method,
+        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS), choice=Choice(law, method, effects),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What an effect is: something a servo may have beside its friction law, as slots that `servo` composes."""
+"""What extensions and effects are: something a servo may have beside its friction law, as slots that `servo` composes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
 from bristle.plant.wording import Wording
 
-__all__ = ["Context", "Coupling", "Effect", "Evidence", "Limits", "RecordedMotion", "power"]
+__all__ = [
+    "DRY_FRICTION", "OVER_INERTIA", "Context", "Coupling", "Effect", "Evidence", "Extension", "Limits", "RecordedMotion", "power",
+]  # fmt: skip
 
 SX = ca.SX
 Array = NDArray[np.float64]
@@ -38,6 +40,10 @@ VIEWS = {  # quantities that a residual torque may be a function of
     "u x direction": "input, with the sign of the velocity",
 }
 
+
+DRY_FRICTION = ("Fc", "sigma0", "sigma1", "sigma2")  # normalised parameters that grow with the dry friction
+OVER_INERTIA = ("alpha2", "b", *DRY_FRICTION)  # normalised parameters that have the inertia below them
+LONGEST_DELAY = 40  # sampling periods kept by what delays a measurement (1)
 
 FLAT = 1e-9  # smallest value whose logarithm is taken (1)
 
@@ -148,13 +154,81 @@ Limits = dict[str, tuple[float, float]]  # intervals by short names of parameter
 
 
 @dataclass(frozen=True)
-class Effect:
-    """An effect by name; each slot is a function of a `Context`, and what is None is not touched.
+class Extension:
+    """What a servo may have beside its friction law; each slot is a function of a `Context`, and what is None is not touched.
 
     Attributes
     ----------
-    description, title : str
-        What it is, in a sentence's part and in two to five words; these, `excitation`, `separation` and the descriptions of the
+    description : str
+        What it is, in a sentence's part.
+    source : str
+        Where its equation comes from: a key of references.bib.
+    parameters : tuple of Parameter
+        Its parameters, called ``name.parameter``.
+    order : int
+        Extensions act in the order of (order, name), whatever the order they are given in.
+    load_side : bool
+        With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
+    without_truth : tuple of str
+        Normalised parameters that have no true value beside it: it makes them vary, or changes what an observer should find.
+    states, rates : tuple of State, function
+        Own continuous states and their derivatives; the context is that of its input map.
+    sampled, updates : tuple of State, function
+        Own sampled states, updated before an interval is integrated. Their `initial` may be a function of the parameters.
+    command : function
+        Map of the input before the drive's limit u_max.
+    drive : function
+        Map of the input after the limit.
+    torque : function
+        Torque added [N.m].
+    factor : function
+        Factors (for forward, for backward motion) on the dry friction of the law. A set-valued law gets two bounds; a
+        smooth law chooses by the sign of its friction force, so that the product stays continuous.
+    bound : function
+        Dry-friction torque added [N.m], for both directions. A smooth law grows by it in proportion to its Fc.
+    output : function
+        Position and velocity that are measured.
+    delay : function
+        Delay of what is measured, in sampling periods.
+    coupling : function
+        Second inertia behind the motor; arguments context, twist (motor - load) and its rate.
+    bristles : function
+        Stiffness [N.m/rad] and damping [N.m.s/rad] of bristles that stand in for set-valued friction.
+    file : str
+        File of a plug-in, for errors in its equations.
+    """
+
+    name: str
+    description: str
+    source: str
+    parameters: tuple[Parameter, ...] = ()
+    order: int = 0
+    load_side: bool = False
+    without_truth: tuple[str, ...] = ()
+    states: tuple[State, ...] = ()
+    rates: Callable[[Context], dict[str, SX]] | None = None
+    sampled: tuple[State, ...] = ()
+    updates: Callable[[Context], dict[str, SX]] | None = None
+    command: Callable[[Context], SX] | None = None
+    drive: Callable[[Context], SX] | None = None
+    torque: Callable[[Context], SX] | None = None
+    factor: Callable[[Context], tuple[SX, SX]] | None = None
+    bound: Callable[[Context], SX] | None = None
+    output: Callable[[Context], tuple[SX, SX]] | None = None
+    delay: Callable[[Context], SX] | None = None
+    coupling: Callable[[Context, SX, SX], Coupling] | None = None
+    bristles: Callable[[Context], tuple[SX, SX]] | None = None
+    file: str = field(default="", compare=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect(Extension):
+    """An extension that a diagnosis can find missing: what it looks like in records, and how it is looked for.
+
+    Attributes
+    ----------
+    title : str
+        What it is, in two to five words; this, `description`, `excitation`, `separation` and the descriptions of the
         parameters may have the placeholders of a `Wording`.
     group : str
         Name of its class: the effects that data may not distinguish, joined by a slash.
@@ -166,8 +240,6 @@ class Effect:
         What a record must contain to show the effect.
     confounded : tuple of str
         Names of the effects it is easily taken for.
-    order : int
-        Effects act in the order of (order, name), whatever the order they are given in.
     sparse : bool
         True if it only acts beyond a limit, so that it may show in a few segments of a record.
     nonsmooth : bool
@@ -199,50 +271,19 @@ class Effect:
     rigid_friction : bool
         True for the one effect whose bristles, too stiff for the sensor to see, are part of each simulation of set-valued
         friction in a diagnosis: without them each effect would be fitted to the last digits of sticking.
-    load_side : bool
-        With a second inertia, `torque` acts on the load and sees its motion, otherwise the motor's.
-    states, rates : tuple of State, function
-        Own continuous states and their derivatives; the context is that of the effect's input map.
-    sampled, updates : tuple of State, function
-        Own sampled states, updated before an interval is integrated.
-    command : function
-        Map of the input before the drive's limit u_max.
-    drive : function
-        Map of the input after the limit.
-    torque : function
-        Torque added [N.m].
-    factor : function
-        Factors (for forward, for backward motion) on the dry friction of the law. A set-valued law gets two bounds; a
-        smooth law chooses by the sign of its friction force, so that the product stays continuous.
-    bound : function
-        Dry-friction torque added [N.m], for both directions. A smooth law grows by it in proportion to its Fc.
-    output : function
-        Position and velocity that are measured.
-    coupling : function
-        Second inertia behind the motor; arguments context, twist (motor - load) and its rate.
-    bristles : function
-        Stiffness [N.m/rad] and damping [N.m.s/rad] of bristles that stand in for set-valued friction.
     starts : function
         Starting values from data: for each start the parameters that a fit may move, by their short names.
-    file : str
-        File of a plug-in, for errors in its equations.
     """
 
-    name: str
-    description: str
-    source: str
     title: str
     group: str
     equation: str
     residual: tuple[str, ...]
     excitation: str
     confounded: tuple[str, ...]
-    parameters: tuple[Parameter, ...]
-    order: int = 0
     sparse: bool = False
     nonsmooth: bool = False
     free_play: str = ""
-    load_side: bool = False
     shape_starts: tuple[Mapping[str, float], ...] = ()
     second_term: tuple[str, ...] = ()
     off: Mapping[str, float] = field(default_factory=dict)
@@ -255,20 +296,7 @@ class Effect:
     excluded: Callable[[FrictionLaw], str] | None = None
     separation: str = ""
     rigid_friction: bool = False
-    states: tuple[State, ...] = ()
-    rates: Callable[[Context], dict[str, SX]] | None = None
-    sampled: tuple[State, ...] = ()
-    updates: Callable[[Context], dict[str, SX]] | None = None
-    command: Callable[[Context], SX] | None = None
-    drive: Callable[[Context], SX] | None = None
-    torque: Callable[[Context], SX] | None = None
-    factor: Callable[[Context], tuple[SX, SX]] | None = None
-    bound: Callable[[Context], SX] | None = None
-    output: Callable[[Context], tuple[SX, SX]] | None = None
-    coupling: Callable[[Context, SX, SX], Coupling] | None = None
-    bristles: Callable[[Context], tuple[SX, SX]] | None = None
     starts: Callable[[Evidence], list[dict[str, float]]] | None = None
-    file: str = field(default="", compare=False)
 
     def worded(self, wording: Wording) -> Effect:
         """Return the effect with the words for an axis in its texts."""
@@ -304,7 +332,7 @@ class Effect:
         return {f"{self.name}.{short}": value for short, value in values.items()}
 
 
-def arrange(effects: Sequence[Effect]) -> list[Effect]:
+def arrange(effects: Sequence[Extension]) -> list[Extension]:
     """Return the effects in the order in which they act; raise `BristleError` for those that exclude each other."""
     names = [effect.name for effect in effects]
     for name in names:
@@ -320,11 +348,11 @@ def arrange(effects: Sequence[Effect]) -> list[Effect]:
 class Effects:
     """The effects of one servo at work: its slots in turn, each with what the servo knows at that point."""
 
-    def __init__(self, system: System, effects: Sequence[Effect], theta: SX, v: SX) -> None:
+    def __init__(self, system: System, effects: Sequence[Extension], theta: SX, v: SX) -> None:
         self._system, self._effects = system, effects
         self._seen = Context(system.namespace(), theta, v, SX(0), system.time, SX(0))
 
-    def having(self, slot: str, **seen: SX) -> Iterator[tuple[Effect, Context]]:
+    def having(self, slot: str, **seen: SX) -> Iterator[tuple[Extension, Context]]:
         """Yield the effects that fill a slot, with what they see."""
         for effect in self._effects:
             if getattr(effect, slot) is not None:
@@ -411,3 +439,10 @@ class Effects:
             assert effect.output is not None
             theta, v = effect.output(replace(c, theta=theta, v=v))
         return theta, v
+
+    def delay(self) -> SX | None:
+        """Return the delay of what is measured [sampling periods], None without one."""
+        for effect, c in self.having("delay"):
+            assert effect.delay is not None
+            return effect.delay(c)
+        return None

@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import casadi as ca
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, EquationError
 from bristle.common.plugins import naming_plugins
 from bristle.model.normalised import NORMALISED
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Parameter, State, Variable
-from bristle.plant.effect import Effect, Effects, arrange
-from bristle.plant.effects import effect as find_effect
+from bristle.plant.effect import LONGEST_DELAY, Effects, Extension, arrange
 from bristle.plant.friction import law as find_law
 from bristle.plant.friction import laws
 from bristle.plant.law import FrictionLaw
+from bristle.plant.signal_effects import extension
 
 __all__ = ["servo", "servo_program"]
 
@@ -40,11 +40,12 @@ LOAD_STARTS = (TWIST_START, TWISTING_START)  # start values of a servo with a se
 ENCODER_COUNTS = Parameter("encoder.counts", "N", "1", 40000.0, 1.0, 1e9, "encoder counts in a turn", "dixit2008 section IV-A")
 
 
-def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()) -> System:
+def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Extension] = ()) -> System:
     """Compose a law and effects into the servo J v' = b sat(u) + tau_load - load_scale F_law - a2 v, theta' = v.
 
     With a second inertia, theta and v are the motor's, which friction acts on and the encoder shows; tau_load acts on
-    the load. Output theta, v and encoder are what is measured; F is the friction torque, effects included.
+    the load. Output theta, v and encoder are what is measured; F is the friction torque, effects included. A delay of the
+    measurement delays F too, so that it belongs to v.
 
     Source: dixit2008 eq. (7)-(8); the load inputs follow the rig of section IV-A, whose normal load scales friction.
     """
@@ -53,8 +54,8 @@ def servo(law: FrictionLaw, encoder: bool = True, effects: Sequence[Effect] = ()
         return _servo(law, encoder, ordered).check()
 
 
-def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Effect]) -> System:
-    system = System(law.name, " with ".join([law.description, *(effect.name for effect in ordered)]))
+def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> System:
+    system = System(law.name, _described(law.description, ordered))
     j, b, a2, u_max = (system.parameter(p) for p in (J, B, A2, U_MAX))
     theta_start, v_start = system.parameter(THETA_START), system.parameter(V_START)
     for parameter in (*law.parameters, *(p for effect in ordered for p in effect.parameters)):
@@ -70,11 +71,7 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Effect]) -> System
         system.state(replace(state, scale=state.scale(p) if callable(state.scale) else state.scale))
     for mode in law.modes:
         system.mode(mode)
-    for effect in ordered:
-        for state in effect.states:
-            system.state(replace(state, name=f"{effect.name}.{state.name}"))
-        for state in effect.sampled:
-            system.sampled(replace(state, name=f"{effect.name}.{state.name}"))
+    _declare_states(system, ordered)
     work = Effects(system, ordered, theta, v)
     friction = law.equations(p, v)
     asked = work.input("command", u)
@@ -100,13 +97,57 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Effect]) -> System
         sliding = ca.if_else(v > 0, bound, -lower)
         force = smooth + ca.if_else(v == 0, ca.fmin(ca.fmax(torque - smooth, -lower), bound), sliding)
     theta_shown, v_shown = work.shown(theta, v)
-    system.output(Variable("theta", "rad", "position"), theta_shown)
-    system.output(Variable("v", "rad/s", "velocity"), v_shown)
-    system.output(Variable("F", "N.m", "friction torque, viscous part included"), force)
+    theta_first, v_first = work.shown(theta_start, v_start)
+    delay = work.delay()
+    position = _output(system, Variable("theta", "rad", "position"), theta_shown, theta_first, delay)
+    _output(system, Variable("v", "rad/s", "velocity"), v_shown, v_first, delay)
+    _output(system, Variable("F", "N.m", "friction torque, viscous part included"), force, SX(0), delay)
     if encoder:
-        _encoder(system, theta_shown, work.shown(theta_start, v_start)[0])
-    _true_values(system, {"alpha2": a2 / j, "b": b / j, **friction.true})
+        _encoder(system, position, theta_first)
+    lost = {name for effect in ordered for name in effect.without_truth}
+    _true_values(system, {name: x for name, x in {"alpha2": a2 / j, "b": b / j, **friction.true}.items() if name not in lost})
     return system
+
+
+def _described(what: str, effects: Sequence[Extension]) -> str:
+    """Return what a servo is, with its effects and the normalised parameters that have no true value beside them."""
+    lost = dict.fromkeys(name for effect in effects for name in effect.without_truth)
+    said = f"; no true value of {', '.join(lost)}" if lost else ""
+    return " with ".join([what, *(effect.name for effect in effects)]) + said
+
+
+def _declare_states(system: System, effects: Sequence[Extension]) -> None:
+    """Declare the states of the effects under their names, with start values where these follow from parameters."""
+    for effect in effects:
+        p = system.namespace(f"{effect.name}.")
+        for state in effect.states:
+            system.state(replace(state, name=f"{effect.name}.{state.name}"))
+        for state in effect.sampled:
+            initial = state.initial(p) if callable(state.initial) else state.initial
+            system.sampled(replace(state, name=f"{effect.name}.{state.name}", initial=initial))
+
+
+def _output(system: System, variable: Variable, value: SX, start: SX, delay: SX | None) -> SX:
+    """Declare an output, delayed by so many sampling periods; return what it shows once the present sample is taken.
+
+    Before the start it was what it is at the start. The samples on either side of the delay are interpolated linearly.
+    Source: laakso1996 (fractional delay of order one).
+    """
+    if delay is None:
+        system.output(variable, value)
+        return value
+    line = [
+        system.sampled(
+            State(f"{variable.name}_{i}", variable.unit, f"{variable.name} of {i} samples before", initial=start), after=True
+        )
+        for i in range(LONGEST_DELAY + 1)
+    ]
+    following = [value, *line[:-1]]
+    for i, sample in enumerate(following):
+        system.update(f"{variable.name}_{i}", sample)
+    weights = [ca.fmax(0, 1 - ca.fabs(delay - i)) for i in range(LONGEST_DELAY + 1)]
+    system.output(variable, sum((w * x for w, x in zip(weights, line, strict=True)), SX(0)))
+    return sum((w * x for w, x in zip(weights, following, strict=True)), SX(0))
 
 
 def _bristles(system: System, inertia: SX, bound: SX, backward: SX | None, stiffness: SX, damping: SX) -> SX:
@@ -161,7 +202,7 @@ def _encoder(system: System, theta: SX, theta_start: SX) -> None:
 
 
 def _true_values(system: System, true: dict[str, SX]) -> None:
-    """Publish the normalised parameters; those that the law does not have are NaN and not valid."""
+    """Publish the normalised parameters; those that the law does not have, or not beside its effects, are NaN and not valid."""
     for name, (unit, description) in NORMALISED.items():
         value = true.get(name, SX(math.nan))
         system.calculate(Variable(f"true.{name}", unit, f"{description}, as an observer should find it"), value)
@@ -177,7 +218,7 @@ def servo_program(
     sensitivities: tuple[str, ...] = (),
     observed: str | None = None,
 ) -> Program:
-    """Return the servo as a program: all laws behind the selector `law`, or one law alone, with effects by name.
+    """Return the servo as a program: one law, or all laws that the effects can join behind the selector `law`.
 
     `sensitivities` and `observed` as of `Program`.
 
@@ -186,13 +227,27 @@ def servo_program(
     BristleError
         If the law or an effect is unknown, or if they cannot be combined.
     """
-    added = [find_effect(name) for name in effects]
+    added = [extension(name) for name in effects]
+    chosen = laws().values() if law is None else [find_law(law)]
+    systems = _joined(list(chosen), encoder, added)
+    name = "_".join(["ServoPlant", *([] if law is None else [law]), *sorted(effects)])
     if law is not None:
-        system = servo(find_law(law), encoder, added)
-        name = "_".join(["ServoPlant", law, *sorted(effects)])
-        about = f"servo with {system.description}"
-        return Program(name, [system], description=about, sensitivities=sensitivities, observed=observed)
-    if added:
-        raise BristleError(f"effect '{added[0].name}' joins one friction law; choose a law")
-    systems = [servo(each, encoder) for each in laws().values()]
-    return Program("ServoPlant", systems, "law", "servo with a friction law chosen by the parameter law")
+        about = f"servo with {systems[0].description}"
+        return Program(name, systems, description=about, sensitivities=sensitivities, observed=observed)
+    about = _described("servo with a friction law chosen by the parameter law", added)
+    return Program(name, systems, "law", about)
+
+
+def _joined(chosen: Sequence[FrictionLaw], encoder: bool, effects: Sequence[Extension]) -> list[System]:
+    """Return the servos of the laws that the effects can join; raise the last refusal if there is none."""
+    found, refusal = [], None
+    for law in chosen:
+        try:
+            found.append(servo(law, encoder, effects))
+        except EquationError:
+            raise
+        except BristleError as error:
+            refusal = error
+    if not found and refusal is not None:
+        raise refusal
+    return found

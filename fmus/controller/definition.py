@@ -6,19 +6,12 @@ import math
 
 import casadi as ca
 
+from bristle.model.generator import MODULUS, draw, normal, scrambled
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Namespace, Parameter, State, Variable
 
 SX = ca.SX
-
-MULTIPLIER, MODULUS = 16807, 2147483647
-SEED_MULTIPLIER, SEED_OFFSET = (
-    48271,
-    715225741,
-)  # scramble the seed, so that neighbouring seeds give unrelated sequences
-WARM_UP = 24  # first draws, which are discarded
-NORMAL_DRAWS = 12  # uniform draws whose sum is nearly Gaussian
 
 KP = Parameter("kp", "kp", "V.s/rad", 4.0, 0.0, 1e6, "proportional gain", "astrom2008 section 10.1")
 KI = Parameter("ki", "ki", "V/rad", 20.0, 0.0, 1e6, "integral gain", "astrom2008 section 10.1")
@@ -32,33 +25,6 @@ REFERENCE_ORDER = Parameter(
 RMS = Parameter("rms", "rms", "rad/s", math.radians(120.0), 0.0, 1e4, "rms of the reference, not clipped", "dixit2008 section IV-C")
 CLIP = Parameter("clip", "clip", "rad/s", math.radians(300.0), 0.0, 1e4, "largest reference", "dixit2008 section IV-C")
 CUTOFF = Parameter("cutoff", "omega_c", "rad/s", 5.0, 1e-3, 1e3, "cut-off of each section", "dixit2008 section IV-C")
-
-
-def draw(s: SX) -> SX:
-    """s' = 16807 s mod (2^31 - 1), exact in doubles.
-
-    Source: park1988 section 2.
-    """
-    product = MULTIPLIER * s
-    return product - ca.floor(product / MODULUS) * MODULUS
-
-
-def scrambled(seed: SX) -> SX:
-    """Return the start state of the generator, 1 ... MODULUS - 1; neighbouring seeds are far apart."""
-    mixed = SEED_MULTIPLIER * ca.floor(seed) + SEED_OFFSET
-    s = 1 + mixed - ca.floor(mixed / (MODULUS - 1)) * (MODULUS - 1)
-    for _ in range(WARM_UP):
-        s = draw(s)
-    return s
-
-
-def normal(s: SX) -> tuple[SX, SX]:
-    """Return a nearly Gaussian number of variance 1, the sum of 12 uniform ones, and the generator after it."""
-    total = SX(0)
-    for _ in range(NORMAL_DRAWS):
-        s = draw(s)
-        total += s / MODULUS
-    return total - NORMAL_DRAWS / 2, s
 
 
 def _constants(system: System, p: Namespace) -> Namespace:

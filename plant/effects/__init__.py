@@ -58,7 +58,7 @@ def effect(name: str, wording: Wording = ROTARY) -> Effect:
     """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for an unknown one."""
     known = _catalogue(wording)
     if name not in known:
-        raise BristleError(f"unknown effect '{name}'; known: {', '.join(known)}")
+        raise BristleError(f"unknown effect '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")
     return known[name]
 
 

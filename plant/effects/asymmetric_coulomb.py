@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -36,6 +36,7 @@ EFFECT = Effect(
         Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),
     ),
     factor=factor,
+    without_truth=DRY_FRICTION,
     off={"share": 0.0},
     starts=starts,
 )

@@ -34,6 +34,7 @@ EFFECT = Effect(
     parameters=(Parameter("back_emf.constant", "K", "V.s/rad", 0.05, 0.0, 1e6, "{input} over speed", "spong2006 chapter 6"),),
     order=1,
     drive=drive,
+    without_truth=("alpha2",),
     off={"constant": 0.0},
     starts=starts,
 )

@@ -7,7 +7,7 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Coupling, Effect, Evidence, power
+from bristle.plant.effect import OVER_INERTIA, Context, Coupling, Effect, Evidence, power
 
 CONTACT_DEPTH = 1e-3  # rad: deformation of the contact at which its torque does not depend on the exponent
 
@@ -55,6 +55,7 @@ EFFECT = Effect(
     ),
     shape_starts=({"exponent": 1.5}, {"exponent": 2.0}),
     coupling=coupling,
+    without_truth=OVER_INERTIA,
     search_interval={"share": (0.02, 0.9), "dissipation": (1e-3, 1e3)},
     starts=starts,
 )

@@ -7,7 +7,7 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Coupling, Effect, Evidence
+from bristle.plant.effect import OVER_INERTIA, Context, Coupling, Effect, Evidence
 
 
 def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
@@ -47,6 +47,7 @@ EFFECT = Effect(
     ),
     shape_starts=({"hardening": 0.0},),
     coupling=coupling,
+    without_truth=OVER_INERTIA,
     search_interval={"share": (0.02, 0.9)},
     starts=starts,
 )

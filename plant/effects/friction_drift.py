@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
 
 SMALL = 1e-4  # of the settling: where three terms of its series are exact
 
@@ -44,6 +44,7 @@ EFFECT = Effect(
     ),
     shape_starts=({"settling": 0.0},),
     factor=factor,
+    without_truth=DRY_FRICTION,
     off={"rate": 0.0},
     starts=starts,
 )

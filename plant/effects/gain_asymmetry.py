@@ -34,6 +34,7 @@ EFFECT = Effect(
     confounded=("bias", "gravity", "asymmetric_coulomb"),
     parameters=(Parameter("gain_asymmetry.share", "g", "1", 0.1, -1.0, 1.0, "excess gain for u > 0, lack for u < 0", "tao1996"),),
     drive=drive,
+    without_truth=("b",),
     off={"share": 0.0},
     starts=starts,
 )

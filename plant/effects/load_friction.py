@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
 
 
 def bound(c: Context) -> ca.SX:
@@ -36,6 +36,7 @@ EFFECT = Effect(
         Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}", "duclusaud2024"),
     ),
     bound=bound,
+    without_truth=DRY_FRICTION,
     off={"coefficient": 0.0},
     starts=starts,
 )

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Array, Context, Effect, Evidence, Limits, RecordedMotion
+from bristle.plant.effect import DRY_FRICTION, Array, Context, Effect, Evidence, Limits, RecordedMotion
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -59,6 +59,7 @@ EFFECT = Effect(
     ),
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     factor=factor,
+    without_truth=DRY_FRICTION,
     off={"amplitude": 0.0},
     periods="periods",
     limits=limits,

@@ -56,6 +56,7 @@ EFFECT = Effect(
     ),
     shape_starts=({"exponent": 2.0},),
     factor=factor,
+    without_truth=("sigma0", "sigma1", "sigma2", "a1", "v0", "vc"),
     off={"excess": 0.0},
     search_interval={"excess": (0.0, 100.0)},
     limits=limits,

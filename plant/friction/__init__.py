@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, suggest
 from bristle.common.plugins import catalogue_modules
 from bristle.model.declarations import checked_declarations
 from bristle.plant.law import FrictionLaw
@@ -19,5 +19,5 @@ def law(name: str) -> FrictionLaw:
     """Return the law `name`; raise `BristleError` for an unknown one."""
     known = laws()
     if name not in known:
-        raise BristleError(f"unknown friction law '{name}'; known: {', '.join(known)}")
+        raise BristleError(f"unknown friction law '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")
     return known[name]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bristle.fmus.build import program_of
-from bristle.fmus.controller.definition import MODULUS, MULTIPLIER
+from bristle.model.generator import MODULUS, MULTIPLIER
 from bristle.model.native import Native
 
 H = 1e-3

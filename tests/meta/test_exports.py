@@ -33,13 +33,17 @@ PUBLIC = {
         "EquationContext", "Method", "Sample", "Update", "observer", "stack", "stack_symmetric", "symmetric_states", "unstack",
         "unstack_symmetric", "vector_states",
     ],
-    "bristle.plant.effect": ["Context", "Coupling", "Effect", "Evidence", "Limits", "RecordedMotion", "power"],
+    "bristle.plant.effect": [
+        "Context", "Coupling", "DRY_FRICTION", "Effect", "Evidence", "Extension", "Limits", "OVER_INERTIA", "RecordedMotion",
+        "power",
+    ],
     "bristle.plant.effects": ["effect", "effects", "separation"],
     "bristle.plant.friction": ["law", "laws"],
     "bristle.plant.law": [
         "Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth",
     ],
     "bristle.plant.servo": ["servo", "servo_program"],
+    "bristle.plant.signal_effects": ["SIGNAL_EFFECTS", "extension"],
     "bristle.plant.wording": ["ROTARY", "Wording"],
     "bristle.records": ["Column", "Layout", "Record", "Requirements", "read_record", "read_records", "records_from_arrays"],
     "bristle.result": ["Result"],

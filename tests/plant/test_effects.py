@@ -254,11 +254,11 @@ def test_the_order_in_which_effects_are_named_does_not_matter():
 @pytest.mark.parametrize(
     ("law_name", "names", "text"),
     [
-        ("coulomb", ("coging",), "unknown effect 'coging'; known: asymmetric_coulomb, back_emf"),
+        ("coulomb", ("coging",), "unknown effect 'coging' (did you mean 'cogging'?); known: asymmetric_coulomb, back_emf"),
         ("coulomb", ("bias", "bias"), "effect 'bias' is given twice"),
         ("coulomb", ("compliance", "backlash"), "effects 'backlash' and 'compliance' both put a second inertia"),
         ("coulomb", ("presliding", "bristle_damping"), "effects 'bristle_damping' and 'presliding' both put bristles under"),
-        (None, ("bias",), "effect 'bias' joins one friction law; choose a law"),
+        (None, ("compliance", "backlash"), "effects 'backlash' and 'compliance' both put a second inertia"),
     ],
 )
 def test_what_cannot_be_is_refused(law_name, names, text):
@@ -266,6 +266,29 @@ def test_what_cannot_be_is_refused(law_name, names, text):
         servo_program(law_name, effects=names)
     assert str(caught.value).startswith(text)
     assert "\n" not in str(caught.value)
+
+
+def test_without_a_law_a_plant_has_all_laws_that_the_effects_can_join():
+    assert [v.system.name for v in servo_program(effects=("bias",)).variants] == list(laws())
+    rigid = [v.system.name for v in servo_program(effects=("presliding",)).variants]
+    assert rigid == [name for name in laws() if ("presliding", name) not in REFUSED]
+    assert 1 < len(rigid) < len(laws())
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_changes_a_parameter_leaves_no_true_value_of_it(name):
+    """Whatever scales or adds dry friction, splits the inertia, or acts in proportion to input or velocity."""
+    e = effect(name)
+    dry = bool(e.factor or e.bound) and name != "stribeck"  # which ends at Fc
+    assert ("Fc" in e.without_truth) is (dry or e.coupling is not None)
+    assert ("alpha2" in e.without_truth) is (e.coupling is not None or name == "back_emf")
+    assert ("b" in e.without_truth) is (e.coupling is not None or name == "gain_asymmetry")
+    program = servo_program("stribeck_static" if (name, "lugre") in REFUSED else "lugre", effects=(name,))
+    values = Native(program).values
+    for key in ("alpha2", "b", "Fc", "v0"):
+        valid = values[program.index[f"true.{key}_valid"]]
+        assert valid == (key not in e.without_truth)
+        assert np.isfinite(values[program.index[f"true.{key}"]]) == valid
 
 
 # -- arithmetic ------------------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ def test_every_file_in_friction_is_a_law():
 
 
 def test_an_unknown_law_is_refused_in_one_line():
-    with pytest.raises(BristleError, match="unknown friction law 'dahlia'; known: coulomb, dahl, elastoplastic") as caught:
+    with pytest.raises(BristleError, match=r"'dahlia' \(did you mean 'dahl'\?\); known: coulomb, dahl, elastoplastic") as caught:
         servo_program("dahlia")
     assert "\n" not in str(caught.value)
 
