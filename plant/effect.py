@@ -332,7 +332,10 @@ class Effect(Extension):
         return {f"{self.name}.{short}": value for short, value in values.items()}
 
 
-def arrange(effects: Sequence[Extension]) -> list[Extension]:
+E = TypeVar("E", bound=Extension)
+
+
+def arrange(effects: Sequence[E]) -> list[E]:
     """Return the effects in the order in which they act; raise `BristleError` for those that exclude each other."""
     names = [effect.name for effect in effects]
     for name in names:
