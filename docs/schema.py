@@ -112,7 +112,7 @@ def _allowed(field: FieldInfo) -> str:
     plain = _plain(field.annotation)
     if get_origin(plain) is Literal:
         return ", ".join(f"`{value}`" for value in get_args(plain))
-    found = ["> 0"] if _unit(field) == "s" else []
+    found = ["> 0"] if _unit(field) in ("s", "Hz") else []
     for item in _metadata(field):
         if type(item) in RELATIONS:
             name, sign = RELATIONS[type(item)]

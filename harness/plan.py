@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +10,7 @@ from bristle.fmus.host import Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
 from bristle.harness.samples import Samples, read_samples
 from bristle.harness.scenario import Loaded, Part, Plant, Scenario
+from bristle.harness.stimuli import Signal, check_range, events, read_stimuli, series
 
 Kind = Literal["native", "python"]
 
@@ -38,6 +38,7 @@ class Setup:
     values: dict[str, dict[str, Value]]
     samples: Samples | None
     h: float
+    stimuli: tuple[Signal, ...] = ()
 
     @property
     def scenario(self) -> Scenario:
@@ -125,10 +126,14 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         h = samples.h
     parts: dict[str, Part | None] = {"plant": scenario.plant, "controller": scenario.controller, "observer": scenario.observer}
     values = {name: _values(loaded, name, part, fmus[name], h) for name, part in parts.items() if part is not None and name in fmus}
-    setup = Setup(loaded, fmus, values, samples, h)
-    if samples is None:
-        _check_sensors(setup)
-        _events(setup)
+    if samples is not None:
+        return Setup(loaded, fmus, values, samples, h)
+    plant = fmus["plant"]
+    stimuli = read_stimuli(loaded, plant, [name for name in BUS_PORTS["plant"]["inputs"] if plant.has(name, "input")], h)
+    setup = Setup(loaded, fmus, values, samples, h, stimuli)
+    _check_sensors(setup)
+    validated = round(scenario.validation.duration / h) if scenario.validation else 0
+    check_range(loaded, plant, stimuli, max(setup.steps, validated), h)
     return setup
 
 
@@ -171,41 +176,6 @@ def _check_sensors(setup: Setup) -> None:
         raise setup.loaded.error("observer.fmu", str(setup.fmus["observer"].path), "has neither input y_theta nor y_v; add one")
 
 
-def _events(setup: Setup) -> tuple[tuple[int, Port, float], ...]:
-    """Return the stimuli as events: a value set at t is on the bus from the first step that starts at t or later."""
-    events = []
-    plant = setup.fmus["plant"]
-    allowed = [name for name in BUS_PORTS["plant"]["inputs"] if plant.has(name, "input")]
-    for i, stimulus in enumerate(setup.scenario.stimuli):
-        name = stimulus.variable
-        if name in [earlier.variable for earlier in setup.scenario.stimuli[:i]]:
-            raise setup.loaded.error(f"stimuli[{i}].variable", name, "has a stimulus already; put all points into one")
-        if name not in allowed:
-            message = f"no free input of the plant{suggest(name, allowed)}; choose one of: {', '.join(allowed) or 'none'}"
-            raise setup.loaded.error(f"stimuli[{i}].variable", name, message)
-        before = -math.inf
-        for j, (when, what) in enumerate(stimulus.points):
-            key = f"stimuli[{i}].points[{j}]"
-            try:
-                time, value = _time(when), plant.physical(name, what)
-            except BristleError as error:
-                raise setup.loaded.error(key, f"{when}, {what}", str(error)) from None
-            if time <= before or time < 0:
-                raise setup.loaded.error(key, when, "times must increase from 0 s; sort the points")
-            before = time
-            step = math.ceil(time / setup.h - 1e-6)
-            events += [(step, (unit, name), value) for unit in (("plant", "observer") if name == "u" else ("plant",))]
-    return tuple(sorted(events))
-
-
-def _time(given: object) -> float:
-    from bristle.common.units import quantity
-
-    if not isinstance(given, (str, int, float)):
-        raise BristleError('not a time; write for example "60 s"')
-    return 0.0 if given in (0, 0.0) and not isinstance(given, bool) else quantity(given, "s")
-
-
 def _instances(setup: Setup, names: tuple[str, ...]) -> tuple[Instance, ...]:
     return tuple(Instance(name, setup.fmus[name], setup.values[name]) for name in names)
 
@@ -238,7 +208,7 @@ def identification(setup: Setup) -> Bus:
             links.append((("plant", source), ("observer", to)))
     return Bus(
         _instances(setup, (*driven, "plant", "observer")), setup.steps, setup.h,
-        links=tuple(links), events=_events(setup),
+        links=tuple(links), events=events(setup.stimuli), series=series(setup.stimuli, setup.steps, setup.h),
         record=tuple(port for unit in (*driven, "plant", "observer") for port in setup.ports(unit)),
         flags=_plant_flags(setup) + flags, watch=("observer",),
     )  # fmt: skip
@@ -252,9 +222,10 @@ def validation(setup: Setup) -> Bus:
         raise setup.loaded.error("validation.seed", demand.seed, "the controller FMU has no parameter 'seed'; remove [validation]")
     if demand.seed == setup.values["controller"].get("seed", setup.fmus["controller"].start("seed")):
         raise setup.loaded.error("validation.seed", demand.seed, "is the seed of the identification record; choose another one")
-    last = {port: (0, port, value) for _, port, value in _events(setup)}
+    loads, steps = [stimulus.settled() for stimulus in setup.stimuli], round(demand.duration / setup.h)
     controller = Instance("controller", setup.fmus["controller"], {**setup.values["controller"], "seed": demand.seed})
     return Bus(
-        (controller, *_instances(setup, ("plant",))), round(demand.duration / setup.h), setup.h,
-        links=tuple(_loop_links(setup)), events=tuple(last.values()), record=setup.ports("controller") + setup.ports("plant"),
+        (controller, *_instances(setup, ("plant",))), steps, setup.h,
+        links=tuple(_loop_links(setup)), events=events(loads), series=series(loads, steps, setup.h),
+        record=setup.ports("controller") + setup.ports("plant"),
     )  # fmt: skip

@@ -193,7 +193,7 @@ class _View:
             self.sensed = {"theta": s.theta[:rows], "v": s.v[:rows]}
         else:
             self.signals = {name: trace[unit, name] for unit, name in trace.record if unit != "observer"}
-            self.signals |= _stimuli(setup, trace)
+            self.signals |= {each.variable: each.values(rows, setup.h) for each in setup.stimuli}
             self.sensed = {key: trace["plant", port] for key, port in zip(("theta", "v"), setup.sensor, strict=True)}
         self.observed = {name: trace[unit, name] for unit, name in trace.record if unit == "observer"}
         self.true = metrics.true_values(trace, self.signals.get("load_scale")) if setup.samples is None else {}
@@ -215,15 +215,6 @@ class _View:
         if self.friction is not None and "alpha2" in self.true:
             found["w"] = self.friction - self.true["alpha2"] * self.signals["v"]
         return found
-
-
-def _stimuli(setup: Setup, trace: Trace) -> dict[str, Array]:
-    """Return the stimuli as signals: what is on the bus at each row."""
-    found: dict[str, Array] = {}
-    for step, (_, name), value in identification(setup).events:
-        column = found.setdefault(name, np.full(len(trace.values), setup.fmus["plant"].start(name)))
-        column[step:] = value
-    return found
 
 
 def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:

@@ -22,15 +22,32 @@ PARAMETER_PARTS = ("plant", "controller", "observer")  # parts of a scenario tha
 
 
 def _seconds(given: object) -> float:
-    if not isinstance(given, (str, int, float)):
-        raise ValueError('not a quantity; write a number with a unit such as "20 s"')
-    value = quantity(given, "s")
+    value = _in_unit(given, "s", "20 s")
     if value <= 0:
         raise ValueError("must be longer than 0 s")
     return value
 
 
+def _hertz(given: object) -> float:
+    value = _in_unit(given, "Hz", "5 Hz")
+    if value <= 0:
+        raise ValueError("must be higher than 0 Hz")
+    return value
+
+
+def _radians(given: object) -> float:
+    return _in_unit(given, "rad", "90 deg")
+
+
+def _in_unit(given: object, unit: str, example: str) -> float:
+    if not isinstance(given, (str, int, float)):
+        raise ValueError(f'not a quantity; write a number with a unit such as "{example}"')
+    return quantity(given, unit)
+
+
 Seconds = Annotated[float, BeforeValidator(_seconds), InUnit("s")]
+Hertz = Annotated[float, BeforeValidator(_hertz), InUnit("Hz")]
+Radians = Annotated[float, BeforeValidator(_radians), InUnit("rad")]
 Given = str | int | float | bool
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -64,13 +81,45 @@ class Observer(Part):
     """Method of the observer that is built."""
 
 
+class Sine(Section):
+    """A sine over the whole run, held constant over each step."""
+
+    amplitude: Given
+    """Its amplitude, with the unit of the input."""
+    frequency: Hertz
+    """Its frequency, below half the rate of the steps."""
+    phase: Radians = 0.0
+    """Its phase at the start of the run."""
+
+
+class Noise(Section):
+    """Coloured noise over the whole run: white noise behind a low-pass of first order, held constant over each step."""
+
+    rms: Given
+    """Its rms, with the unit of the input."""
+    bandwidth: Hertz
+    """Frequency at which its spectrum has fallen to half, below half the rate of the steps."""
+    seed: int = Field(default=1, ge=0)
+    """Chooses the noise; the seed of the controller does not change it."""
+
+
 class Stimulus(Section):
-    """A plant input held constant between points in time; one of u takes the place of the controller."""
+    """A plant input over time: steps at points in time, and what is added to them; one of u takes the place of the controller."""
 
     variable: str
     """Input of the plant."""
-    points: list[tuple[Given, Given]] = Field(min_length=1)
-    """Pairs [time, value]: from this time on the input has this value."""
+    points: list[tuple[Given, Given]] = Field(default=[], min_length=1)
+    """Pairs [time, value]: from this time on the input has this value; before the first it is 1 (load_scale) or 0."""
+    sine: Sine | None = None
+    """A sine that is added."""
+    noise: Noise | None = None
+    """Coloured noise that is added."""
+
+    @model_validator(mode="after")
+    def _something(self) -> Stimulus:
+        if not self.points and self.sine is None and self.noise is None:
+            raise ValueError("nothing to apply; give points, sine or noise")
+        return self
 
 
 class Record(LayoutTable):
