@@ -66,6 +66,7 @@ def test_the_noise_is_what_signals_csv_shows(base: str, scenario_file: Maker, tm
     table = np.genfromtxt(folder / "signals.csv", delimiter=",", names=True)
     assert len(table) == 2001
     np.testing.assert_allclose(table["v"], driven(table["tau_load"][:-1]), atol=1e-6)
+    np.testing.assert_allclose(table["tau_load"], 0.002 * coloured(2001, 2 * math.pi * 20 * H, 4), rtol=1e-6, atol=1e-9)
     assert np.std(table["tau_load"]) > 1e-3
 
 
