@@ -1,4 +1,4 @@
-"""The normalised parameters of a servo: what an observer estimates, and the true values that a plant publishes."""
+"""The normalised parameters of a servo: the true values that a plant publishes, and what an observer estimates."""
 
 from __future__ import annotations
 
@@ -16,8 +16,13 @@ NORMALISED = {  # name: (unit, meaning)
     "a1": ("rad", "what is added to it at rest"),
     "v0": ("rad/s", "Stribeck velocity"),
 }
+OBSERVED = NORMALISED | {  # what an observer may estimate beside the servo's own parameters
+    "width": ("1", "widths and centres of the basis functions over the nominal ones"),
+    "load": ("rad/s2", "constant or slowly moving load torque over inertia"),
+    "delay": ("1", "delay of the measurement behind the input, in samples"),
+}
 
 
 def units(*names: str) -> dict[str, str]:
     """Return name -> unit of some of them."""
-    return {name: NORMALISED[name][0] for name in names}
+    return {name: OBSERVED[name][0] for name in names}

@@ -33,14 +33,14 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX]:
 
     Source: jazwinski1970 chapter 8; ljung1979 (parameters as states).
     """
-    z, covariance = kalman.predict(_servo, *kalman.read(p), s.u, s.period)
+    z, covariance = kalman.predict(_servo, *kalman.read(p, kalman.JOINT_ORDER), s.u, s.period)
     rates = [SX(0), p.noise_v, p.noise_w, *(p.noise_parameters * spread**2 for spread in SPREADS.values())]
     error = s.y1 + p.resolution / 2 - z[0]
     noisy = kalman.noisy(covariance, rates, s.period)
     z, covariance, _ = kalman.correct(z, noisy, error, kalman.rounding(p.resolution), p.gate)
     place = {name: MOTION_STATES + i for i, name in enumerate(JOINT_ENTRIES)}
     low = {place[name]: SX(least) for name, least in LOWEST.items()}
-    return kalman.bounded(z, low, {place[name]: SX(most) for name, most in HIGHEST.items()}), covariance
+    return kalman.bounded(z, covariance, low, {place[name]: SX(most) for name, most in HIGHEST.items()}), covariance
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -50,13 +50,13 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     step1 = rls.estimates(p)
     fixed = [p[f"{name}_start"] for name in START_VALUES]
     waiting = ca.vertcat(s.y1 + p.resolution / 2, p.last_v, 0, step1["alpha2"], step1["b"], *fixed)
-    joint, cov = kalman.read(p)
+    joint, cov = kalman.read(p, kalman.JOINT_ORDER)
     servo = _servo(joint[MOTION_STATES:])
     friction = servo.sigma[0] / ca.fmax(servo.c, LOWEST["c"])
     return Update(
         next=rls.fit(p, s) | kalman.write(ca.if_else(go, z, waiting), ca.if_else(go, covariance, cov)),
         estimates={**{name: p[f"joint{MOTION_STATES + i}"] for i, name in enumerate(JOINT_ENTRIES)}, "Fc": friction},
-        signals=kalman.signals(p, _servo),
+        signals=kalman.signals(joint, servo),
         first={"joint0": s.y1},
         valid={name: SX(go) for name in (*JOINT_ENTRIES, "Fc")},
     )
@@ -92,6 +92,7 @@ METHOD = Method(
         *kalman.states(
             "theta, v, w, alpha2, b, sigma0, sigma1, sigma2, c, tau",
             "covariance of the vector",
+            kalman.JOINT_ORDER,
             (*STATE_SPREADS, *SPREADS.values()),
         ),
     ),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 
@@ -17,7 +17,7 @@ from bristle.observer.method import stack, stack_symmetric, symmetric_states, un
 
 SX = ca.SX
 MOTION_STATES = 3  # theta, v, w
-FILTER_ORDER = MOTION_STATES + 5 + BASIS_COUNT  # alpha2, b, tau, c and one weight more than there are basis functions
+JOINT_ORDER = MOTION_STATES + 5 + BASIS_COUNT  # alpha2, b, tau, c and one weight more than there are basis functions
 CITATION = "jazwinski1970 chapter 8"
 SUBSTEPS = 4  # internal steps a sample; with one, the model error would bias the parameters measurably
 
@@ -31,10 +31,23 @@ class Servo:
     sigma: Sequence[SX]
     c: SX
     tau: SX
+    load: SX = field(default_factory=lambda: SX(0))  # rad/s2, load torque over the inertia
+    delay: SX = field(default_factory=lambda: SX(0))  # samples
+    width: SX = field(default_factory=lambda: SX(1))  # of the basis functions, over the nominal one
+
+    def push(self, inputs: SX) -> SX:
+        """Return the acceleration by drive and load, from the inputs of the last samples, the latest first.
+
+        Over a sample of the delayed servo an earlier input acts for a part of the time; taken here is the mean.
+        """
+        u = inputs[0]
+        for i in range(1, inputs.numel()):
+            u += ca.fmin(ca.fmax(self.delay - (i - 1), 0), 1) * (inputs[i] - inputs[i - 1])
+        return SX(self.b * u + self.load)
 
     def gain(self, v: SX) -> SX:
         """Return K(v) = sigma0 + sum sigma_i phi_i(v)."""
-        return self.sigma[0] + sum(s * phi for s, phi in zip(self.sigma[1:], gaussian(v), strict=True))
+        return self.sigma[0] + sum(s * phi for s, phi in zip(self.sigma[1:], gaussian(v / self.width), strict=True))
 
     def friction(self, v: SX, w: SX) -> SX:
         """Return the friction acceleration w + tau w' + alpha2 v, w' = K(v) v - c |v| w."""
@@ -51,15 +64,15 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     )
 
 
-def states(vector: str, covariance: str, spreads: Sequence[float] = ()) -> tuple[State, ...]:
+def states(vector: str, covariance: str, order: int, spreads: Sequence[float] = ()) -> tuple[State, ...]:
     """Declare the vector and its covariance, which starts from these standard deviations, or from zero."""
     squares = [spread**2 for spread in spreads]
-    return (*vector_states("joint", "1", vector, FILTER_ORDER), *symmetric_states("cov", "1", covariance, FILTER_ORDER, squares))
+    return (*vector_states("joint", "1", vector, order), *symmetric_states("cov", "1", covariance, order, squares))
 
 
-def read(p: Namespace) -> tuple[SX, SX]:
+def read(p: Namespace, order: int) -> tuple[SX, SX]:
     """Return (vector, covariance)."""
-    return stack(p, "joint", FILTER_ORDER), stack_symmetric(p, "cov", FILTER_ORDER)
+    return stack(p, "joint", order), stack_symmetric(p, "cov", order)
 
 
 def write(z: SX, covariance: SX) -> dict[str, SX]:
@@ -67,10 +80,9 @@ def write(z: SX, covariance: SX) -> dict[str, SX]:
     return unstack("joint", z) | unstack_symmetric("cov", covariance)
 
 
-def signals(p: Namespace, meaning: Callable[[SX], Servo]) -> dict[str, SX]:
+def signals(z: SX, servo: Servo) -> dict[str, SX]:
     """Return position, velocity and friction from the vector."""
-    friction = meaning(read(p)[0][MOTION_STATES:]).friction(p.joint1, p.joint2)
-    return {"theta": p.joint0, "v": p.joint1, "w": p.joint2, "F": friction}
+    return {"theta": z[0], "v": z[1], "w": z[2], "F": servo.friction(z[1], z[2])}
 
 
 def rounding(resolution: SX) -> SX:
@@ -81,37 +93,38 @@ def rounding(resolution: SX) -> SX:
     return SX(ca.fmax(resolution, 1e-6) ** 2 / 12)
 
 
-def advance(x: SX, servo: Servo, u: SX, h: SX) -> SX:
-    """Advance (theta, v, w) over a sample of held u; accurate to second order.
+def advance(x: SX, servo: Servo, push: SX, h: SX) -> SX:
+    """Advance (theta, v, w) over a sample of held acceleration by drive and load; accurate to second order.
 
     w relaxes exactly at the mean velocity, however large c |v| h. What tau w' adds to v over the sample is tau times the
     change of w.
     Source: dixit2008 eq. (15) and (17), tau after remark 5; hochbruck2010 section 2 (exponential step).
     """
     theta, v, w = ca.vertsplit(x)
-    mean = v + h / 2 * (servo.b * u - servo.friction(v, w))
+    mean = v + h / 2 * (push - servo.friction(v, w))
     travel = ca.fmax(servo.c * ca.fabs(mean) * h, 1e-9)
     kept = ca.exp(-travel)
     w_new = w * kept + h * servo.gain(mean) * mean * (1 - kept) / travel
     damping = servo.alpha2 * h / 2
-    v_new = (v * (1 - damping) + h * (servo.b * u - (w + w_new) / 2) - servo.tau * (w_new - w)) / (1 + damping)
+    v_new = (v * (1 - damping) + h * (push - (w + w_new) / 2) - servo.tau * (w_new - w)) / (1 + damping)
     return ca.vertcat(theta + h / 2 * (v + v_new), v_new, w_new)
 
 
-def sample(x: SX, servo: Servo, u: SX, h: SX) -> SX:
+def sample(x: SX, servo: Servo, inputs: SX, h: SX) -> SX:
     """Advance (theta, v, w) over a sample in `SUBSTEPS` steps."""
+    push = servo.push(inputs)
     for _ in range(SUBSTEPS):
-        x = advance(x, servo, u, h / SUBSTEPS)
+        x = advance(x, servo, push, h / SUBSTEPS)
     return x
 
 
-def predict(meaning: Callable[[SX], Servo], z: SX, covariance: SX, u: SX, h: SX) -> tuple[SX, SX]:
+def predict(meaning: Callable[[SX], Servo], z: SX, covariance: SX, inputs: SX, h: SX) -> tuple[SX, SX]:
     """Return (z, P) at the end of a sample, without process noise; the entries behind the states stay.
 
     Source: jazwinski1970 chapter 8 (extended Kalman filter).
     """
-    symbol = SX.sym("z", FILTER_ORDER)
-    moved = sample(symbol[:MOTION_STATES], meaning(symbol[MOTION_STATES:]), u, h)
+    symbol = SX.sym("z", z.numel())
+    moved = sample(symbol[:MOTION_STATES], meaning(symbol[MOTION_STATES:]), inputs, h)
     moved, slope = ca.substitute([moved, ca.jacobian(moved, symbol)], [symbol], [z])
     crossed = slope @ covariance
     new = SX(covariance)
@@ -140,11 +153,15 @@ def noisy(covariance: SX, rates: Sequence[SX], h: SX) -> SX:
     return covariance + h * ca.diag(ca.vertcat(*rates))
 
 
-def bounded(z: SX, low: dict[int, SX], high: dict[int, SX]) -> SX:
-    """Return z with some entries kept inside their bounds."""
+def bounded(z: SX, covariance: SX, low: dict[int, SX], high: dict[int, SX]) -> SX:
+    """Return z with some entries kept inside their bounds, and the others moved as the covariance relates them.
+
+    An entry that was set back alone would leave the others where they had followed it: a bias that grows with each sample.
+    Source: simon2010 section 3 (projection of the estimate, weighted by the inverse covariance).
+    """
     new = SX(z)
-    for i, least in low.items():
-        new[i] = ca.fmax(new[i], least)
-    for i, most in high.items():
-        new[i] = ca.fmin(new[i], most)
+    for i in sorted({*low, *high}):
+        kept = ca.fmin(ca.fmax(new[i], low.get(i, -ca.inf)), high.get(i, ca.inf))
+        new += covariance[:, i] * ((kept - new[i]) / ca.fmax(covariance[i, i], 1e-300))
+        new[i] = kept
     return new

@@ -8,7 +8,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    new = kreisselmeier.adapt(p, rls.regression(p, s), s.period)
+    new = kreisselmeier.adapt(p, rls.regression(p, s, p.vc), s.period)
     return Update(new, rls.estimates(p), {"v": p.last_v})
 
 
@@ -17,7 +17,11 @@ METHOD = Method(
     "Kreisselmeier observer of alpha2, b and Fc from position, gated to high speed",
     kreisselmeier.CITATION,
     "y_theta",
-    (*rls.filter_parameters("kreisselmeier_position"), *kreisselmeier.parameters("kreisselmeier_position")),
+    (
+        rls.gate_parameter("kreisselmeier_position"),
+        *rls.filter_parameters("kreisselmeier_position"),
+        *kreisselmeier.parameters("kreisselmeier_position"),
+    ),
     (*rls.FILTER_STATES, *extension.states(3), *filtered.estimate_states()),
     _equations,
 )

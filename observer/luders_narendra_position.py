@@ -8,7 +8,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    new = luders_narendra.adapt(p, rls.regression(p, s), s.period)
+    new = luders_narendra.adapt(p, rls.regression(p, s, p.vc), s.period)
     return Update(new, rls.estimates(p), {"v": p.last_v})
 
 
@@ -18,6 +18,7 @@ METHOD = Method(
     luders_narendra.CITATION,
     "y_theta",
     (
+        rls.gate_parameter("luders_narendra_position"),
         *rls.filter_parameters("luders_narendra_position", cutoff=50.0, hold_off=0.08),
         *luders_narendra.parameters("luders_narendra_position", (4.0, 4.0, 8.0)),
     ),

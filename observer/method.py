@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
 
 from bristle.common.plugins import naming_plugins
-from bristle.model.normalised import NORMALISED
+from bristle.model.normalised import OBSERVED
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Namespace, Parameter, State, Variable
 
@@ -53,7 +52,9 @@ class Update:
     """The result of a step: next values of all states, and what to publish as expressions of the *next* states.
 
     `first` gives the values of states at the very first sample, where there is no step yet (others keep their start);
-    an estimate named in `valid` counts only where its expression is not zero.
+    an estimate named in `valid` counts only where its expression is not zero. `sd`: standard deviations, of those estimates that
+    have one. `adapted`: whether the estimates have been adapted since the start. `innovation`: mean squared innovation of late over
+    what the method claims it to be.
     """
 
     next: dict[str, SX]
@@ -61,6 +62,9 @@ class Update:
     signals: dict[str, SX] = field(default_factory=dict)
     first: dict[str, SX] = field(default_factory=dict)
     valid: dict[str, SX] = field(default_factory=dict)
+    sd: dict[str, SX] = field(default_factory=dict)
+    adapted: SX = field(default_factory=lambda: SX(1))
+    innovation: SX = field(default_factory=lambda: SX(0))
 
 
 class EquationContext:
@@ -182,16 +186,23 @@ def _with_start(state: State, p: Namespace) -> State:
 
 
 def _publish(system: System, method: Method, update: Update, started: SX, period: SX) -> None:
-    """Declare the outputs: every estimate and signal; NaN and not valid where the method has none."""
+    """Declare the outputs: every signal and estimate; 0 and not valid where the method has none, so that no output is ever NaN."""
+
+    def flag(name: str, meaning: str, value: SX) -> None:
+        system.output(Variable(name, "1", meaning, boolean=True), value)
+
     for name, (unit, description) in SIGNALS.items():
-        value = update.signals.get(name, SX(math.nan))
-        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), value)
-    for name, (unit, description) in NORMALISED.items():
-        value = update.estimates.get(name, SX(math.nan))
-        valid = update.valid.get(name, SX(1.0 if name in update.estimates else 0.0))
-        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), value)
-        known = Variable(f"{name}_valid", "1", f"{name}_hat is an estimate", boolean=True)
-        system.output(known, valid)
+        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), update.signals.get(name, SX(0)))
+        flag(f"{name}_hat_valid", f"the method estimates {name}_hat", SX(float(name in update.signals)))
+    for name, (unit, description) in OBSERVED.items():
+        known = name in update.estimates
+        system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), update.estimates.get(name, SX(0)))
+        flag(f"{name}_valid", f"{name}_hat is an estimate that counts", update.valid.get(name, SX(float(known))))
+        spread = Variable(f"{name}_sd", unit, f"standard deviation of {name}_hat; 0: the method gives none")
+        system.output(spread, update.sd.get(name, SX(0)))
+    flag("adapted", "the estimates have been adapted since the start", update.adapted)
+    ratio = Variable("innovation", "1", "mean squared innovation of late over what the method claims; 0: the method gives none")
+    system.output(ratio, update.innovation)
     system.output(
         Variable("convergence", "1/s", "fastest relative change of an estimate, averaged over 1 s; small when settled"),
         _convergence(system, update, started, period),

@@ -27,8 +27,8 @@ class Regression:
     next: dict[str, SX]
 
 
-def regression(p: Namespace, s: Sample) -> Regression:
-    """Filter L v' = -alpha2 L v + b L u - Fc L sgn v from position, L = two equal low-pass sections; counts at |L v| > vc.
+def regression(p: Namespace, s: Sample, gate: SX) -> Regression:
+    """Filter L v' = -alpha2 L v + b L u - Fc L sgn v from position, L = two equal low-pass sections; counts at |L v| > gate.
 
     Velocity is the difference of two positions, so that it belongs to the middle of a sample; its own difference and
     mean then belong to the sampling instant between, and u enters as the mean of the inputs before and after it. The
@@ -45,7 +45,7 @@ def regression(p: Namespace, s: Sample) -> Regression:
     one_new = one + gain * (raw - one)
     two_new = two + gain * (one_new - two)
     speed = -two_new[1]
-    clear = ca.if_else(ca.fabs(speed) > p.vc, p.clear + s.period, 0)
+    clear = ca.if_else(ca.fabs(speed) > gate, p.clear + s.period, 0)
     ready = p.seen >= 1  # the first difference of velocities needs three positions
     filters = {
         **unstack("once", ca.if_else(ready, one_new, one)),
@@ -77,7 +77,7 @@ def least_squares(covariance: SX, h: SX, error: SX, noise: SX, forgetting: SX, l
 
 def fit(p: Namespace, s: Sample) -> dict[str, SX]:
     """Fit the filtered regression by recursive least squares."""
-    r = regression(p, s)
+    r = regression(p, s, p.vc)
     theta, covariance = stack(p, "theta", 3), stack(p, "p", 3, 3)
     change, covariance_new = least_squares(covariance, r.h, r.z - ca.dot(r.h, theta), SX(1), p.forgetting, 3 * p.p_start)
     return {
@@ -102,10 +102,14 @@ def _covariance(row: int, column: int) -> State:
     return State(f"p{3 * row + column}", "1", "covariance of the estimates", initial=start)
 
 
-def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027, vc: float = MIN_SPEED) -> tuple[Parameter, ...]:
-    """Declare gate and filter under a method's name."""
+def gate_parameter(prefix: str) -> Parameter:
+    """Declare the gate under a method's name."""
+    return Parameter(f"{prefix}.vc", "vc", "rad/s", MIN_SPEED, 0.0, 1e3, "speed above which the fit runs", CITATION)
+
+
+def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027) -> tuple[Parameter, ...]:
+    """Declare the filter under a method's name."""
     return (
-        Parameter(f"{prefix}.vc", "vc", "rad/s", vc, 0.0, 1e3, "speed above which the fit runs", CITATION),
         Parameter(f"{prefix}.cutoff", "a", "rad/s", cutoff, 1e-3, 1e5, "corner of each of the two low-pass sections", CITATION),
         Parameter(f"{prefix}.hold_off", "t_h", "s", hold_off, 0.0, 10.0, "wait after low speed (the filters forget it)", CITATION),
     )
@@ -114,6 +118,7 @@ def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.02
 def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare gate, filter and forgetting under a method's name."""
     return (
+        gate_parameter(prefix),
         *filter_parameters(prefix),
         Parameter(f"{prefix}.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", CITATION),
         Parameter(f"{prefix}.p_start", "P0", "1", 1e4, 1e-9, 1e12, "start of the covariance (of each estimate)", CITATION),

@@ -26,14 +26,20 @@ PLACES = ("modified.theta", "modified.v", "modified.w")
 
 
 @cache
-def record(plant: str, seconds: float, order: int = 1, change: float = 0.0, load: float = 2.0) -> dict[str, np.ndarray]:
-    """Return u, position, velocity and encoder under the reference controller; the normal load changes at `change`, if given."""
+def record(
+    plant: str, seconds: float, order: int = 1, change: float = 0.0, load: float = 2.0, torque: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, np.ndarray]:
+    """Return u, position, velocity and encoder under the reference controller.
+
+    The normal load changes at `change`, if given; `torque`: from when [s] a load torque acts, and how large it is [N.m].
+    """
     law, parameters = LAWS[plant]
     servo = Instance("plant", Fmu(obtain("plant", law=law)), SERVO | parameters)
     controller = Instance("controller", Fmu(obtain("controller")), {"seed": 5.0, "order": float(order)})
     links = ((("controller", "u"), ("plant", "u")), (("plant", "v"), ("controller", "y_v")))
     names = (("controller", "u"), ("plant", "theta"), ("plant", "v"))
     events = ((round(change / STEP), ("plant", "load_scale"), load),) if change else ()
+    events += ((round(torque[0] / STEP), ("plant", "tau_load"), torque[1]),)
     trace = simulate(Bus((servo, controller), round(seconds / STEP), STEP, links, events, record=names))
     assert trace.failure is None
     data = {port[1]: np.ascontiguousarray(trace[port]) for port in names}
@@ -65,7 +71,7 @@ def settled(rows: np.ndarray, true: np.ndarray = SET_S) -> float:
 def stepped(h: float, start: np.ndarray, u: float, tau: float) -> np.ndarray:
     """Return (theta, v, w) after one sample by the filter's equations, for set S."""
     servo = kalman.Servo(ca.SX(2.0), ca.SX(6.5), [ca.SX(600.0), ca.SX(800.0), ca.SX(300.0)], ca.SX(150.0), ca.SX(tau))
-    return np.array(ca.evalf(kalman.advance(ca.SX(start), servo, ca.SX(u), ca.SX(h)))).ravel()
+    return np.array(ca.evalf(kalman.advance(ca.SX(start), servo, servo.push(ca.SX(u)), ca.SX(h)))).ravel()
 
 
 @pytest.mark.parametrize("tau", [0.0, 0.02])
@@ -93,16 +99,20 @@ def test_the_filter_steps_as_the_plant_does_to_second_order(tau):
 def test_the_prediction_carries_the_covariance_by_the_slope_of_the_step():
     """P' = F P F' with F by central differences of the step itself."""
     random = np.random.default_rng(1)
-    entries = np.array([2.0, 6.5, 4.0, 5.0, 2.0, np.log(150.0), 0.01])
+    entries = np.array([2.0, 6.5, 4.0, 5.0, 2.0, np.log(150.0), 0.01, 0.7, 1.3, 0.2])
     z = np.concatenate([[0.3, 1.2, 2.5], entries])
-    root = random.normal(size=(10, 10)) * 0.01
+    order = len(z)
+    root = random.normal(size=(order, order)) * 0.01
     covariance = root @ root.T
-    symbol = ca.SX.sym("z", 10)
+    symbol = ca.SX.sym("z", order)
     meaning = self_starting_ekf._servo
-    stepped = kalman.sample(symbol[:3], meaning(symbol[3:]), ca.SX(2.0), ca.SX(1e-3))
+    inputs = ca.SX([2.0, 1.0, -3.0, 0.5])
+    stepped = kalman.sample(symbol[:3], meaning(symbol[3:]), inputs, ca.SX(1e-3))
     whole = ca.Function("f", [symbol], [ca.vertcat(stepped, symbol[3:])])
-    slope = np.column_stack([(np.array(whole(z + step)) - np.array(whole(z - step))).ravel() / 2e-6 for step in 1e-6 * np.eye(10)])
-    moved, new = kalman.predict(meaning, ca.SX(z), ca.SX(covariance), ca.SX(2.0), ca.SX(1e-3))
+    slope = np.column_stack(
+        [(np.array(whole(z + step)) - np.array(whole(z - step))).ravel() / 2e-6 for step in 1e-6 * np.eye(order)]
+    )
+    moved, new = kalman.predict(meaning, ca.SX(z), ca.SX(covariance), inputs, ca.SX(1e-3))
     np.testing.assert_allclose(np.array(ca.evalf(moved)).ravel(), np.array(whole(z)).ravel(), rtol=1e-12)
     np.testing.assert_allclose(np.array(ca.evalf(new)), slope @ covariance @ slope.T, atol=1e-9 * np.abs(covariance).max() + 1e-11)
 
@@ -125,10 +135,71 @@ def test_what_it_starts_from_does_not_matter():
         assert np.max(100 * np.abs(end / SET_S - 1)) < 2.0
 
 
-def test_it_sees_a_shift_of_the_input_by_one_sample():
-    data = record("S", 60.0)
-    shifted = data | {"u": np.concatenate([data["u"][1:], data["u"][-1:]])}
-    assert errors(observed(BEST, shifted))[-1].max() > 10 * errors(observed(BEST, data))[-1].max()
+def test_it_finds_a_delay_of_the_measurement_and_of_none():
+    """The true delay is known; a filter that takes it as zero is off by percents and says that its estimates do not count."""
+    data, also = record("S", 30.0), ["delay_hat", "delay_sd", "b_valid"]
+    for samples in (0.0, 0.5, 1.0, 2.0):
+        time = STEP * (np.arange(len(data["u"])) - samples)
+        late = np.interp(time, STEP * np.arange(len(data["u"])), data["theta"])
+        rows = observed(BEST, data | {"encoder": np.floor(late / COUNT) * COUNT}, also)
+        assert rows[-1, 6] == pytest.approx(samples, abs=0.02)
+        assert rows[-1, 8] == 1.0
+        assert errors(rows)[-1].max() < 0.3
+    deaf = observed(BEST, data | {"encoder": np.floor(late / COUNT) * COUNT}, also, delay_spread=0.0)
+    assert errors(deaf)[-1].max() > 3.0
+    assert deaf[-1, 8] == 0.0
+
+
+def test_an_input_that_comes_too_late_is_no_delay_and_makes_nothing_valid():
+    data = record("S", 30.0)
+    late = data | {"u": np.concatenate([data["u"][:2], data["u"][:-2]])}
+    rows = observed(BEST, late, ["b_valid", "innovation"])
+    assert rows[-1, 6] == 0.0
+    assert rows[-1, 7] > 4.0
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5])
+def test_it_finds_a_constant_load_torque_and_its_step(share):
+    """J v' = b u + tau_load - F - a2 v: the load over the inertia is `share` of Fc = 4 rad/s2, from the start or from 30 s on."""
+    for begin in (0.0, 30.0):
+        rows = observed(BEST, record("S", 45.0, torque=(begin, share * 0.004)), ["load_hat", "load_valid", "load_sd"])
+        assert rows[-1, 6] == pytest.approx(4.0 * share, abs=0.002)
+        assert rows[-1, 7] == 1.0
+        assert abs(rows[-1, 6] - 4.0 * share) < 4 * rows[-1, 8]
+        assert errors(rows)[-1].max() < 0.3
+        assert settled(rows) < begin + 10.0
+
+
+def test_rest_teaches_nothing_and_spoils_nothing():
+    """The servo rests for ten times as long as it has moved."""
+    inputs = np.concatenate([record("S", 20.0)["u"], np.zeros(200_000)])
+    plant = Native(servo_program("modified"), SERVO)
+    theta, velocity = plant.run(STEP, {"u": inputs}, ["theta", "v"])[0][:-1].T
+    still = {"u": inputs, "encoder": np.floor(theta / COUNT) * COUNT, "v": velocity}
+    rows = observed(BEST, still, ["b_sd", "b_valid"])
+    assert errors(rows)[-1].max() < 2 * errors(rows)[20_000].max() + 0.05
+    assert rows[-1, 6] == pytest.approx(rows[20_500, 6], rel=0.2)
+    assert rows[-1, 7] == 1.0
+
+
+def test_motion_in_one_direction_makes_nothing_valid():
+    time = STEP * np.arange(30_000)
+    data = {"u": 2.0 + 0.5 * np.sin(time), "encoder": np.floor(3 * time / COUNT) * COUNT, "v": np.full(len(time), 3.0)}
+    rows = observed(BEST, data, [f"{name}_valid" for name in SIX])
+    assert not rows[:, 6:].any()
+
+
+def test_an_entry_set_back_to_its_bound_moves_the_others_as_the_covariance_relates_them():
+    """The result is the point of the bound that is nearest in the norm of the inverse covariance; by a solver of its own."""
+    covariance = np.array([[4.0, 1.5, -0.5], [1.5, 2.0, 0.3], [-0.5, 0.3, 1.0]])
+    z = np.array([1.0, -2.0, 0.5])
+    found = np.array(ca.evalf(kalman.bounded(ca.SX(z), ca.SX(covariance), {1: ca.SX(0)}, {}))).ravel()
+    inverse = np.linalg.inv(covariance)
+    system = np.block([[inverse, np.eye(3)[:, 1:2]], [np.eye(3)[1:2], np.zeros((1, 1))]])
+    nearest = np.linalg.solve(system, np.concatenate([inverse @ z, [0.0]]))[:3]
+    np.testing.assert_allclose(found, nearest, atol=1e-12)
+    inside = np.array(ca.evalf(kalman.bounded(ca.SX(z), ca.SX(covariance), {1: ca.SX(-3)}, {1: ca.SX(3)}))).ravel()
+    np.testing.assert_array_equal(inside, z)
 
 
 def test_it_starts_anew_when_the_load_doubles():

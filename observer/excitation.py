@@ -1,0 +1,66 @@
+"""The clock of an estimator that learns from reversals: it runs for a while after each, and stands still in rest and slow arcs.
+
+Friction shows near zero velocity, and what a record teaches of it comes in passages through zero. Schedules that run by this
+clock (early noise, memory, a start) depend on what has been excited, not on how long the record is.
+Source: ljung1999 section 13.2 (persistent excitation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from bristle.model.variables import Namespace, State
+
+SX = ca.SX
+CLEAR_SHARE = 0.1  # of the rms speed, above which the direction of motion counts
+FRESH_TIME = 1.0  # s after a reversal in which time counts
+COUNTS_OF_NOISE = 2.0  # steps of the sensor within the filter's time constant, below which a speed is noise
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What a sample adds: `time` that counts (s), whether the motion `reverses`, rms speed so far, and the next states."""
+
+    time: SX
+    reverses: SX
+    rms: SX
+    next: dict[str, SX]
+
+
+STATES = (
+    State("direction", "1", "direction of motion, when it last was clear"),
+    State("since_reversal", "s", "time since the motion last reversed"),
+    State("travelled", "s", "time in motion"),
+    State("mean_square", "rad2/s2", "mean squared speed in motion"),
+    State("reversals", "1", "reversals so far"),
+)
+
+
+def noise_speed(p: Namespace) -> SX:
+    """Return the speed below which the filtered velocity is the sensor's noise."""
+    return SX(COUNTS_OF_NOISE * p.resolution * p.cutoff)
+
+
+def rms_speed(p: Namespace) -> SX:
+    """Return the rms speed in motion so far."""
+    return SX(ca.sqrt(p.mean_square))
+
+
+def advance(p: Namespace, speed: SX, period: SX) -> Excitation:
+    """Follow a filtered velocity by one sample."""
+    moving = ca.fabs(speed) > noise_speed(p)
+    square = p.mean_square + period / (p.travelled + period) * (speed**2 - p.mean_square)
+    clear = ca.logic_and(moving, ca.fabs(speed) > CLEAR_SHARE * ca.sqrt(square))
+    reverses = ca.logic_and(clear, ca.sign(speed) != p.direction)
+    since = ca.if_else(reverses, 0, p.since_reversal + period)
+    counts = ca.logic_and(since < FRESH_TIME, p.reversals > 1)  # the first one is the beginning of the motion
+    states = {
+        "direction": ca.if_else(clear, ca.sign(speed), p.direction),
+        "since_reversal": since,
+        "travelled": p.travelled + ca.if_else(moving, period, 0),
+        "mean_square": ca.if_else(moving, square, p.mean_square),
+        "reversals": p.reversals + ca.if_else(reverses, 1, 0),
+    }
+    return Excitation(ca.if_else(counts, period, 0), reverses, rms_speed(p), states)
