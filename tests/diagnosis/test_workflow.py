@@ -107,6 +107,7 @@ def test_a_mistake_in_the_data_is_proposed_and_nothing_is_named(what: str, call:
     assert proposal.rstrip("?") in answer["statement"][0]
 
 
+@pytest.mark.slow
 def test_an_output_that_has_nothing_to_do_with_the_input_is_no_good_model(call: Call, plain: list[Columns]) -> None:
     noise = np.random.default_rng(3)
     code, answer, error = call(*((t, u, lfilter([1.0], [1.0, -0.5], noise.standard_normal(len(t)))) for t, u, _ in plain))
@@ -137,6 +138,7 @@ def test_records_of_different_rates_are_brought_to_one(call: Call, plain: list[C
 TIGHT = {"parameters": {"J": 0.008, "a2": 0.02, "Fc": 0.12}, "bounds": {"J": [0.007, 0.009], "Fc": [0.0, 0.6]}}
 
 
+@pytest.mark.slow
 def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(call: Call, plain: list[Columns]) -> None:
     code, answer, error = call(plain[0], **TIGHT)
     assert (code, error) == (0, "")
@@ -152,6 +154,7 @@ def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(call: C
     assert answer["files"] == ["diagnosis.json", "report.html"]
 
 
+@pytest.mark.slow
 def test_a_bound_that_the_base_refit_ends_at_is_said(call: Call, measured: Callable[..., Any]) -> None:
     """What is missing is larger than what the bound costs: it is named, and the bound is said beside it."""
     code, answer, error = call(measured("gravity", 1)[:3], **TIGHT)
