@@ -31,6 +31,17 @@ def as_paths(name: str, given: object) -> list[Path]:
     return [as_path(f"{name}[{k}]", each) for k, each in enumerate(given)]
 
 
+def as_names(name: str, given: object) -> tuple[str, ...]:
+    """Return the names that were given as the argument `name`, a sequence of texts."""
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise BristleError(f"{name} is {_shown(given)}; give a list of names")
+    names = tuple(given)
+    for k, each in enumerate(names):
+        if not isinstance(each, str):
+            raise BristleError(f"{name}[{k}] is {_shown(each)}; give a name as text")
+    return names
+
+
 def as_choice(name: str, given: object, choices: Sequence[T]) -> T:
     """Return the one of the choices that was given as the argument `name`."""
     for choice in choices:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from bristle.common.arguments import as_choice, as_path, as_paths, as_whole_number
+from bristle.common.arguments import as_choice, as_names, as_path, as_paths, as_whole_number
 from bristle.common.errors import BristleError
 from bristle.result import Result
 
@@ -165,7 +165,8 @@ def build(
 
     return build_file(
         as_choice("part", part, PARTS), as_path("out", out),
-        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS), choice=Choice(law, method, effects),
+        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS),
+        choice=Choice(law, method, as_names("effects", effects)),
     )  # fmt: skip
 
 

@@ -84,6 +84,8 @@ def test_errors_are_2_and_one_line(cli: Cli, case: Path, tmp_path: Path) -> None
     one_line(cli("dance"), "dance")
     one_line(cli(), "list, build, run")
     one_line(cli("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
+    one_line(cli("build", "plant", "--effects", "coging", "--out", out), "unknown effect 'coging'", "did you mean 'cogging'")
+    one_line(cli("build", "observer", "--effects", "bias", "--out", out), "the observer has no effects to add")
     assert not out.exists()
 
 
@@ -183,6 +185,10 @@ def test_build_writes_readable_fmus(cli: Cli, tmp_path: Path) -> None:
     lean = cli("build", "plant", "--law", "viscous", "--out", tmp_path / "fmus")
     assert read_model_description(lean.stdout.strip()).modelName == "ServoPlant_viscous"
     assert sorted(os.listdir(tmp_path / "fmus")) == ["Controller.fmu", "ServoPlant_viscous.fmu"]
+    more = cli("build", "plant", "--law", "lugre", "--effects", "cogging, bias", "--fmi", "3", "--out", tmp_path / "fmus")
+    found = {v.name: v for v in read_model_description(more.stdout.strip()).modelVariables}
+    assert more.stdout.strip().endswith("ServoPlant_lugre_bias_cogging.fmu")
+    assert (found["cogging.amplitude"].unit, found["bias.torque"].causality) == ("N.m", "parameter")
 
 
 def test_help_is_quick(cli: Cli) -> None:

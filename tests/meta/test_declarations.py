@@ -13,6 +13,7 @@ from bristle.observer import methods
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws
 from bristle.plant.servo import servo_program
+from bristle.plant.signal_effects import SIGNAL_EFFECTS
 from bristle.plant.wording import Wording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,7 +27,7 @@ KEYS = [key for _, key, _ in ENTRIES]
 @cache
 def programs():
     """Return every program there is by name, and a servo with each effect."""
-    augmented = {name: servo_program("coulomb", effects=(name,)) for name in effects()}
+    augmented = {name: servo_program("coulomb", effects=(name,)) for name in [*effects(), *SIGNAL_EFFECTS]}
     return {"servo": servo_program(), **{name: servo_program(name) for name in laws()}, **augmented}
 
 

@@ -190,6 +190,7 @@ MISTAKES = [
     (EFFECT, '"theta",)', '"position",)', "residual: 'position' is no view"),
     (EFFECT, '"gravity", "bias"', '"gravty", "bias"', "confounded: 'gravty' is no effect (did you mean 'gravity'?)"),
     (EFFECT, 'group="cable_spring"', 'group="bias"', "group 'bias' lacks 'cable_spring'"),
+    (EFFECT, "    load_side", '    without_truth=("alpha",),\n    load_side', "without_truth: 'alpha' is no normalised parameter"),
     (EFFECT, '"{torque} of', '"{tork} of', "EFFECT is malformed: KeyError: 'tork'"),
     (EFFECT, '"N.m/rad"', '"Nm/rad"', "did you mean 'N.m'?"),
     (METHOD, '"rad/s", 1.5', '"rads", 1.5', "parameter 'projection.vc': unit 'rads'"),

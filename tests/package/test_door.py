@@ -174,10 +174,21 @@ def test_numbers_of_numpy_are_whole_numbers_and_name_a_seed(case, tmp_path):
         ({"part": "all"}, "part is 'all'"),
         ({"out": 3}, "out is 3; give a path"),
         ({"fmi": "3"}, "fmi is '3'"),
+        ({"part": "plant", "effects": "bias"}, "effects is 'bias'; give a list of names"),
+        ({"part": "plant", "effects": ["bias", 3]}, "effects[1] is 3; give a name as text"),
+        ({"part": "plant", "effects": ["bais"]}, "unknown effect 'bais' (did you mean 'bias'?)"),
+        ({"effects": ["bias"]}, "the controller has no effects to add ('bias')"),
     ],
 )
 def test_a_wrong_argument_of_build_is_one_line_that_names_it(tmp_path, message, arguments, named):
     assert named in message(lambda: bristle.build(**({"part": "controller", "out": tmp_path} | arguments)))
+
+
+def test_effects_join_a_plant_that_is_built_and_one_of_a_scenario(case, tmp_path):
+    path = bristle.build("plant", tmp_path, law="coulomb", effects=["cogging", "bias"])
+    assert path.name == "ServoPlant_coulomb_bias_cogging.fmu"
+    plain, biased = (bristle.run(case, tmp_path, overrides={"plant.effects": names}) for names in ([], ["bias"]))
+    assert plain.data["estimates"] != biased.data["estimates"]
 
 
 def test_records_are_no_files(wrong_unit, message):
