@@ -168,7 +168,13 @@ def scenario_page(shown: Catalogue | None = None) -> str:
         [n for n in known if n in names[k]] for k, known in (("laws", laws()), ("observers", methods()))
     )
     inputs = BUS_PORTS["plant"]["inputs"]
-    choices = {("Plant", "law"): offered_laws, ("Observer", "method"): offered_methods, ("Stimulus", "variable"): list(inputs)}
+    offered_effects = [*(name for name in effects() if name in names["effects"]), *SIGNAL_EFFECTS]
+    choices = {
+        ("Plant", "law"): offered_laws,
+        ("Plant", "effects"): offered_effects,
+        ("Observer", "method"): offered_methods,
+        ("Stimulus", "variable"): list(inputs),
+    }
     text = [SCENARIO_HEAD, *key_tables(Scenario, choices), "## Stimuli", ""]
     text += ["Inputs of the plant that `[[stimuli]]` may change. `u` takes the place of the controller.", "", "| variable | unit |"]
     text += ["|---|---|", *(f"| `{name}` | {unit} |" for name, unit in inputs.items()), CHECKS_HEAD]

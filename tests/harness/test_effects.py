@@ -79,6 +79,12 @@ def test_a_delay_reaches_whatever_the_observer_reads(sensor: str, base: str, sce
     assert np.ptp(found[0]) > 1.0
 
 
+def test_a_smooth_law_with_effects_has_an_encoder(base: str, scenario_file: Maker) -> None:
+    loaded = load(scenario_file('sensor = "encoder"\n' + with_effects(base, "bias")))
+    setup = prepare(loaded, find_fmus(loaded))
+    assert np.ptp(simulate(identification(setup))["plant", "theta_enc"]) > 0.1
+
+
 def test_a_parameter_without_a_true_value_has_no_error(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path = scenario_file(with_effects(base, "friction_drift").replace("2 s", "6 s"))
     estimates = run(path, tmp_path / "out", Options()).result["estimates"]
