@@ -5,9 +5,10 @@ from __future__ import annotations
 import ctypes
 import json
 import math
+import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -56,19 +57,19 @@ class Condition:
     load_scale: float = 1.0  # normal load in the second half
     seconds: float = SECONDS
 
+    @property
+    def constant(self) -> bool:
+        """Whether the servo and its load stay as they are throughout."""
+        return self.load_scale == 1.0 and self.load != "step"
+
 
 @dataclass(frozen=True)
 class Record:
-    """A record as an observer gets it, and the truth: parameters at the end, position, velocity, load torque at each sample."""
+    """A record as an observer gets it (`y_theta` from the encoder, `y_v` the true velocity, as late), and the truth at the end."""
 
-    condition: Condition
-    plant: str
-    seed: int
     u: Array
-    y: Array
-    theta: Array
-    v: Array
-    load: Array
+    y_theta: Array
+    y_v: Array
     true: dict[str, float]
 
 
@@ -176,7 +177,7 @@ def record(condition: Condition, plant: str, seed: int) -> Record:
     gain = STANDARD_B / values["b"]
     values |= {"kp": CONTROLLER_GAINS[0] * gain, "ki": CONTROLLER_GAINS[1] * gain, "limit": 24.0 * abs(gain)}
     random = np.random.default_rng([seed, int(digest(plant + c.reference)[:8], 16)])
-    t = c.period * np.arange(round(c.seconds / c.period))
+    t: Array = c.period * np.arange(round(c.seconds / c.period), dtype=np.float64)
     reference = _reference(c, random, seed, t)
     load = _load(c, random, t, _true(values, 1.0)["Fc"])
     scale = np.where(t < c.seconds / 2, 1.0, c.load_scale)
@@ -186,8 +187,12 @@ def record(condition: Condition, plant: str, seed: int) -> Record:
         noise = c.input_noise * float(np.std(u)) * random.standard_normal(len(t))
         u, theta, v = _simulated(values, c.period, reference, load, noise, scale)
     step = 2 * math.pi / c.counts
-    late = np.interp(t - c.delay * c.period, t, theta)
-    return Record(c, plant, seed, u, step * np.floor(late / step), theta, v, load, _true(values, c.load_scale))
+    late_theta, late_v = (np.interp(t - c.delay * c.period, t, x) for x in (theta, v))
+    true = _true(values, c.load_scale) | {
+        "load": float(load[-1]) if c.load in ("none", "constant", "step") else math.nan,
+        "delay": c.delay,
+    }
+    return Record(u, step * np.floor(late_theta / step), late_v, true)
 
 
 def _simulated(
@@ -205,18 +210,11 @@ def _simulated(
             *(_pointer(np.ascontiguousarray(x, dtype=float)) for x in (reference, load, noise, scale)), *(_pointer(x) for x in out),
         )  # fmt: skip
         path.parent.mkdir(exist_ok=True)
-        draft = path.with_suffix(f".{seed_of_process()}.part")
+        draft = path.with_suffix(f".{os.getpid()}.part")
         with draft.open("wb") as file:
             np.save(file, out)
         draft.replace(path)
     return out[0].copy(), out[1].copy(), out[2].copy()
-
-
-def seed_of_process() -> int:
-    """Return a number that no other process uses at the same time."""
-    import os
-
-    return os.getpid()
 
 
 def _conditions() -> dict[str, Condition]:
@@ -259,8 +257,3 @@ def _conditions() -> dict[str, Condition]:
 
 
 CONDITIONS = _conditions()
-
-
-def spec(condition: Condition) -> str:
-    """Return a condition as text, by which a result is found again."""
-    return json.dumps(asdict(condition), sort_keys=True)

@@ -1,0 +1,150 @@
+"""Every observer under many conditions: how far off, how soon right, and whether it says so; docs/study/conditions.md.
+
+python benchmarks/conditions/run.py                                   # all methods, 3 records a plant and condition; resumes
+python benchmarks/conditions/run.py --methods self_starting_ekf --seeds 24     # more records of one method
+python benchmarks/conditions/run.py --pages                           # only the page, from the results so far
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from inspect import getsource
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # before numpy: one thread a worker
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+from condition_records import CONDITIONS, SOURCE, Condition, Record, record
+from conditions_page import publish
+from rich.progress import track
+from shared import write_json
+
+from bristle.common.cache import cache_folder, digest
+from bristle.common.errors import SimulationError
+from bristle.harness.metrics import SETTLING_BAND, settling
+from bristle.model.native import Native
+from bristle.model.normalised import OBSERVED
+from bristle.model.sources import fingerprint
+from bristle.observer import methods, observer_program
+from bristle.observer.method import observer
+
+Json = dict[str, Any]
+BEST = "self_starting_ekf"
+SEEDS = 3  # records of each plant and condition
+JUDGED = ("alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c")  # what the truth is compared with
+
+
+@cache
+def estimated(method: str) -> tuple[str, ...]:
+    """Return what a method estimates, in the order of the tables."""
+    outputs = {variable.name: expression for variable, expression in observer(methods()[method]).outputs.values()}
+    return tuple(name for name in OBSERVED if not outputs[f"{name}_hat"].is_constant())
+
+
+def studied() -> list[str]:
+    """Return the methods that estimate something of which the truth is known, without help by true values."""
+    given = {name for name, method in methods().items() if any(p.description.endswith("known") for p in method.parameters)}
+    return [name for name in methods() if name not in given and set(estimated(name)) & set(JUDGED)]
+
+
+def observe(method: str, condition: Condition, data: Record) -> Json:
+    """Return what a method makes of a record, at its end and on the way."""
+    program = observer_program(method)
+    values = {"sample_time": condition.period}
+    if f"{method}.resolution" in program.index:
+        values[f"{method}.resolution"] = 2 * math.pi / condition.counts
+    names = [name for name in estimated(method) if name in data.true]
+    also = [f"{method}.starts"] if f"{method}.starts" in program.index else []
+    columns = [f"{name}_{what}" for what in ("hat", "sd", "valid") for name in names] + ["innovation", *also]
+    try:
+        inputs = {"u": data.u, "y_theta": data.y_theta, "y_v": data.y_v}
+        rows = Native(program, values).run(condition.period, inputs, columns)[0][1:]
+    except SimulationError as error:
+        return {"failure": str(error)}
+    n = len(names)
+    hats, valid = rows[:, :n], rows[:, 2 * n : 3 * n] > 0
+    judged = [i for i, name in enumerate(names) if name in JUDGED]
+    true = np.array([data.true[names[i]] for i in judged])
+    off = np.where(valid[:, judged], np.abs(hats[:, judged] / true - 1) * 100, np.inf).max(axis=1, initial=0.0)
+    second = (
+        settling(np.asarray(condition.period * np.arange(1, len(off) + 1), dtype=np.float64), off, SETTLING_BAND)
+        if judged
+        else math.nan
+    )
+    return {
+        "true": {name: data.true[name] for name in names},
+        "final": dict(zip(names, hats[-1].tolist(), strict=True)),
+        "sd": dict(zip(names, rows[-1, n : 2 * n].tolist(), strict=True)),
+        "valid": dict(zip(names, valid[-1].tolist(), strict=True)),
+        "settled_s": second if math.isfinite(second) else None,
+        "innovation": float(rows[-1, 3 * n]),
+        "changes": max(float(rows[-1, -1]) - 1, 0.0) if also else 0.0,
+    }
+
+
+def _path(method: str, condition: Condition, plant: str, seed: int) -> Path:
+    program = fingerprint(observer_program(method))
+    key = digest(*program, SOURCE, repr(condition), plant, str(seed), getsource(observe))
+    return cache_folder() / "conditions" / "results" / key[:2] / f"{key[:40]}.json"
+
+
+def compute(job: tuple[str, str, str, int]) -> None:
+    """Compute one result, unless it is there."""
+    method, name, plant, seed = job
+    path = _path(method, CONDITIONS[name], plant, seed)
+    if not path.exists():
+        write_json(path, observe(method, CONDITIONS[name], record(CONDITIONS[name], plant, seed)))
+
+
+def plan(chosen: list[str], seeds: int) -> Iterator[tuple[str, str, str, int]]:
+    """Yield all jobs, so that the records of one condition are used by all methods one after the other."""
+    for name, condition in CONDITIONS.items():
+        for plant in condition.plants:
+            for seed in range(1, seeds + 1):
+                yield from ((method, name, plant, seed) for method in chosen)
+
+
+def results(chosen: list[str], seeds: int) -> dict[str, dict[str, list[Json]]]:
+    """Return what there is, by method and condition."""
+    found: dict[str, dict[str, list[Json]]] = {method: {} for method in chosen}
+    for method, name, plant, seed in plan(chosen, seeds):
+        path = _path(method, CONDITIONS[name], plant, seed)
+        if path.exists():
+            found[method].setdefault(name, []).append(json.loads(path.read_text(encoding="utf-8")))
+    return found
+
+
+def main() -> None:
+    """Compute what is missing, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--methods", default=",".join(studied()), help="names with commas between")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="records of each plant and condition")
+    parser.add_argument("--best-seeds", type=int, default=8 * SEEDS, help=f"the same for {BEST}")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--pages", action="store_true", help="only write the page")
+    chosen = parser.parse_args()
+    wanted = chosen.methods.split(",")
+    best = [BEST] if BEST in wanted else []
+    if not chosen.pages:
+        for method in wanted:
+            observer_program(method)
+        work = list(dict.fromkeys([*plan(wanted, chosen.seeds), *plan(best, chosen.best_seeds)]))
+        with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
+            for _ in track(pool.map(compute, work, chunksize=8), total=len(work), description="records"):
+                pass
+    publish(results(studied(), chosen.seeds) | results([BEST], chosen.best_seeds), BEST)
+
+
+if __name__ == "__main__":
+    main()
