@@ -122,7 +122,7 @@ def _start(p: Namespace, s: Sample, r: rls.Regression, seen: SX, reversals: SX) 
     ln_c = ca.log(ca.fmin(p.c_start, 1 / (PASSED_SAMPLES * speed * s.period)))  # a larger c would not be corrected by data
     ln_c = ca.if_else(p.resumes > 0, p[f"mean{LN_C - MOTION_STATES}"], ln_c)
     load = ca.fmax(ca.fmin(load, level), -level)
-    joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ln_c, 0, load, 0, 0)
+    joint = ca.vertcat(s.y1 + p.resolution / 2, -r.h[0], 0, alpha2, b, level, 0, 0, ln_c, 0, load, 0, ca.log(p.width_start))
     viscous = START_SD["alpha2"] * level / speed
     motion = (p.resolution, START_SD["v"] * speed, level)
     levels = (level, level, level)
@@ -184,11 +184,11 @@ def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
         LN_C: p.ln_c - reach,
         TAU: SX(0),
         DELAY: SX(0),
-        LN_WIDTH: SX(-WIDTH_REACH),
+        LN_WIDTH: ca.log(p.width_start) - WIDTH_REACH,
     }
     low |= {place: -LARGEST_LEVEL[1] * p.level for place in LEVELS[1:]}
     high = {place: LARGEST_LEVEL[min(i, 1)] * p.level for i, place in enumerate(LEVELS)}
-    high |= {LN_C: p.ln_c + reach, TAU: SX(LONGEST_TAU), DELAY: SX(INPUTS_KEPT - 1), LN_WIDTH: SX(WIDTH_REACH)}
+    high |= {LN_C: p.ln_c + reach, TAU: SX(LONGEST_TAU), DELAY: SX(INPUTS_KEPT - 1), LN_WIDTH: ca.log(p.width_start) + WIDTH_REACH}
     return low, high
 
 
@@ -341,6 +341,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
         own("c_spread", "sd(ln c)", "1", 1.5, 1e-3, 10.0, "how far that start may be off, logarithmically", kalman.CITATION),
         own("tau_spread", "sd(tau)", "s", 0.001, 0.0, 1.0, "how far tau may be from 0 at first; 0: it stays 0", kalman.CITATION),
         own("delay_spread", "sd(d)", "1", 0.3, 0.0, 3.0, "the same of the delay, in samples", kalman.CITATION),
+        own("width_start", "w", "1", 1.0, 1e-6, 1e6, "its start; a linear axis in m needs about 0.05", "dixit2008 eq. (24)"),
         own("width_spread", "sd(ln w)", "1", 0.1, 0.0, 2.0, "the same of the logarithm of the width", kalman.CITATION),
         own("noise_w", "q_w", "1/s", 6e-4, 0.0, 1e6, "process noise of w over the rms acceleration squared", ADAPTIVE),
         own("noise_v", "q_v", "s", 6e-7, 0.0, 1e6, "process noise of v over the rms acceleration squared", ADAPTIVE),
