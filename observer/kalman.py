@@ -13,7 +13,7 @@ import casadi as ca
 
 from bristle.model.basis import BASIS_COUNT, gaussian
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer.method import stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
+from bristle.observer.method import delayed, stack, stack_symmetric, symmetric_states, unstack, unstack_symmetric, vector_states
 
 SX = ca.SX
 MOTION_STATES = 3  # theta, v, w
@@ -36,14 +36,8 @@ class Servo:
     width: SX = field(default_factory=lambda: SX(1))  # of the basis functions, over the nominal one
 
     def push(self, inputs: SX) -> SX:
-        """Return the acceleration by drive and load, from the inputs of the last samples, the latest first.
-
-        Over a sample of the delayed servo an earlier input acts for a part of the time; taken here is the mean.
-        """
-        u = inputs[0]
-        for i in range(1, inputs.numel()):
-            u += ca.fmin(ca.fmax(self.delay - (i - 1), 0), 1) * (inputs[i] - inputs[i - 1])
-        return SX(self.b * u + self.load)
+        """Return the acceleration by drive and load, from the inputs of the last samples, the latest first."""
+        return SX(self.b * delayed(ca.vertsplit(inputs), self.delay) + self.load)
 
     def gain(self, v: SX) -> SX:
         """Return K(v) = sigma0 + sum sigma_i phi_i(v)."""

@@ -17,6 +17,7 @@ __all__ = [
     "Method",
     "Sample",
     "Update",
+    "delayed",
     "observer",
     "stack",
     "stack_symmetric",
@@ -35,6 +36,11 @@ SIGNALS = {
     "F": ("rad/s2", "friction acceleration, viscous part included"),
 }
 CONVERGENCE_TIME = 1.0  # s, over which the convergence measure averages
+LONGEST_DELAY = 8  # samples
+DELAY = Parameter(
+    "delay", "d", "1", 0.0, 0.0, float(LONGEST_DELAY), "known delay of the measurement behind the input, in samples",
+    "ljung1999 section 4.2",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -152,7 +158,7 @@ def observer(method: Method) -> System:
 
 def _observer(method: Method) -> System:
     system = System(method.name, method.description)
-    period = system.parameter(SAMPLE_TIME)
+    period, delay = system.parameter(SAMPLE_TIME), system.parameter(DELAY)
     for parameter in method.parameters:
         system.parameter(parameter)
     inputs = {
@@ -163,20 +169,37 @@ def _observer(method: Method) -> System:
     p = system.namespace(f"{method.name}.")
     for state in method.states:
         system.sampled(_with_start(state, p))
-    last_u = system.sampled(State("last_u", "V", "input at the last sample"))
+    inputs_before = [system.sampled(State("last_u", "V", "input at the last sample"))]
+    inputs_before += [
+        system.sampled(State(f"last_u{i}", "V", f"input {i} samples before that")) for i in range(1, LONGEST_DELAY + 1)
+    ]
     last_y = system.sampled(State("last_y", "1", "output at the last sample"))
     count = system.sampled(State("samples", "1", "samples seen so far"))
     y = inputs[method.reads]
-    update = method.equations(EquationContext(system, p), Sample(last_u, last_y, y, period))
+    update = method.equations(EquationContext(system, p), Sample(delayed(inputs_before, delay), last_y, y, period))
     started = count > 0
     for state in method.states:
         held = update.first.get(state.name, system.symbols[state.name])
         system.update(state.name, ca.if_else(started, update.next[state.name], held))
     system.update("last_u", inputs["u"])
+    for i in range(1, LONGEST_DELAY + 1):
+        system.update(f"last_u{i}", inputs_before[i - 1])
     system.update("last_y", y)
     system.update("samples", count + 1)
     _publish(system, method, update, started, period)
     return system.check()
+
+
+def delayed(inputs: Sequence[SX], delay: SX) -> SX:
+    """Return the input that acts on a sample of a measurement that is late by `delay` samples; `inputs` have the latest first.
+
+    Between whole samples an earlier and a later input act for a part of the time each; returned is the mean, which the servo
+    answers to up to terms of second order in the sampling period.
+    """
+    u = inputs[0]
+    for i in range(1, len(inputs)):
+        u = u + ca.fmin(ca.fmax(delay - (i - 1), 0), 1) * (inputs[i] - inputs[i - 1])
+    return SX(u)
 
 
 def _with_start(state: State, p: Namespace) -> State:

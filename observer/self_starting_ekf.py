@@ -268,10 +268,10 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         "age": ca.if_else(runs, p.age + excited.time, 0),
         **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
     }
-    deviations = _deviations(p)
+    deviations, found = _deviations(p), _estimates(stack(p, "mean", PARAMETER_COUNT))
     return Update(
         next=new,
-        estimates=_estimates(stack(p, "mean", PARAMETER_COUNT)),
+        estimates=found | {"delay": found["delay"] + p.delay},
         signals=kalman.signals(joint, _servo(joint[MOTION_STATES:])),
         first={"joint0": s.y1},
         valid=_valid(p, deviations),

@@ -150,6 +150,23 @@ def test_it_finds_a_delay_of_the_measurement_and_of_none():
     assert deaf[-1, 8] == 0.0
 
 
+@pytest.mark.parametrize("method", ["rls", "swapped_position", "self_starting_ekf"])
+@pytest.mark.parametrize("samples", [2, 2.5])
+def test_a_delay_that_is_declared_costs_no_accuracy(method, samples):
+    data = record("S", 30.0)
+    steps = np.arange(len(data["u"]))
+    late = data | {"encoder": np.floor(np.interp(steps - samples, steps, data["theta"]) / COUNT) * COUNT}
+    program = observer_program(method)
+
+    def b_of(signals: dict[str, np.ndarray], delay: float) -> float:
+        inputs = {"u": signals["u"], "y_theta": signals["encoder"], "y_v": signals["v"]}
+        return float(Native(program, {"delay": delay}).run(STEP, inputs, ["b_hat"])[0][-1, 0])
+
+    assert abs(b_of(late, samples) - 6.5) < 1.5 * abs(b_of(data, 0.0) - 6.5) + 0.01
+    if method != "self_starting_ekf":  # which finds it
+        assert abs(b_of(late, 0.0) - 6.5) > 2 * abs(b_of(late, samples) - 6.5)
+
+
 def test_an_input_that_comes_too_late_is_no_delay_and_makes_nothing_valid():
     data = record("S", 30.0)
     late = data | {"u": np.concatenate([data["u"][:2], data["u"][:-2]])}
