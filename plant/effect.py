@@ -42,7 +42,7 @@ VIEWS = {  # quantities that a residual torque may be a function of
 
 
 DRY_FRICTION = ("Fc", "sigma0", "sigma1", "sigma2")  # normalised parameters that grow with the dry friction
-OVER_INERTIA = ("alpha2", "b", *DRY_FRICTION)  # normalised parameters that have the inertia below them
+OVER_INERTIA = ("alpha2", "b", "load", *DRY_FRICTION)  # normalised parameters that have the inertia below them
 LONGEST_DELAY = 40  # sampling periods kept by what delays a measurement (1)
 
 FLAT = 1e-9  # smallest value whose logarithm is taken (1)

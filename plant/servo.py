@@ -10,7 +10,7 @@ import casadi as ca
 
 from bristle.common.errors import BristleError, EquationError
 from bristle.common.plugins import naming_plugins
-from bristle.model.normalised import NORMALISED
+from bristle.model.normalised import OBSERVED
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
 from bristle.model.variables import Parameter, State, Variable
@@ -105,7 +105,8 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     if encoder:
         _encoder(system, position, theta_first)
     lost = {name for effect in ordered for name in effect.without_truth}
-    _true_values(system, {name: x for name, x in {"alpha2": a2 / j, "b": b / j, **friction.true}.items() if name not in lost})
+    true = {"alpha2": a2 / j, "b": b / j, "load": SX(0), "delay": SX(0) if delay is None else delay, **friction.true}
+    _true_values(system, {name: x for name, x in true.items() if name not in lost})
     return system
 
 
@@ -202,10 +203,12 @@ def _encoder(system: System, theta: SX, theta_start: SX) -> None:
 
 
 def _true_values(system: System, true: dict[str, SX]) -> None:
-    """Publish the normalised parameters; those that the law does not have, or not beside its effects, are NaN and not valid."""
-    for name, (unit, description) in NORMALISED.items():
-        value = true.get(name, SX(math.nan))
-        system.calculate(Variable(f"true.{name}", unit, f"{description}, as an observer should find it"), value)
+    """Publish what an observer may estimate; what the law does not have, or not beside its effects, is 0 and not valid.
+
+    The load is that without tau_load, which is an input.
+    """
+    for name, (unit, description) in OBSERVED.items():
+        system.calculate(Variable(f"true.{name}", unit, f"{description}, as an observer should find it"), true.get(name, SX(0)))
         valid = Variable(f"true.{name}_valid", "1", f"the law has a true value of {name}", boolean=True)
         system.calculate(valid, SX(1.0 if name in true else 0.0))
 

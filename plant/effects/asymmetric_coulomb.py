@@ -36,7 +36,7 @@ EFFECT = Effect(
         Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),
     ),
     factor=factor,
-    without_truth=DRY_FRICTION,
+    without_truth=(*DRY_FRICTION, "load"),
     off={"share": 0.0},
     starts=starts,
 )

@@ -58,6 +58,7 @@ EFFECT = Effect(
     ),
     second_term=("amplitude2", "phase2"),
     torque=torque,
+    without_truth=("load",),
     off={"amplitude": 0.0},
     periods="periods",
     limits=limits,

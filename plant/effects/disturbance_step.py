@@ -50,6 +50,7 @@ EFFECT = Effect(
     ),
     load_side=True,
     torque=torque,
+    without_truth=("load",),
     off={"torque": 0.0},
     limits=limits,
     starts=starts,

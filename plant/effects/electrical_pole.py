@@ -50,6 +50,7 @@ EFFECT = Effect(
     states=(State("lagged", "V", "input as the current follows it"),),
     rates=rates,
     drive=drive,
+    without_truth=("delay",),
     limits=limits,
     starts=starts,
 )

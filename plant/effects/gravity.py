@@ -46,6 +46,7 @@ EFFECT = Effect(
     shape_starts=({"sine2": 0.0, "cosine2": 0.0},),
     load_side=True,
     torque=torque,
+    without_truth=("load",),
     off={"amplitude": 0.0},
     once_per_turn=True,
     starts=starts,

@@ -69,6 +69,7 @@ EFFECT = Effect(
     shape_starts=({"exponent": 1.0}, {"exponent": 2.0}),
     load_side=True,
     torque=torque,
+    without_truth=("load",),
     off={"stiffness": 0.0},
     unused={"upper": 1e6, "lower": -1e6},
     limits=limits,

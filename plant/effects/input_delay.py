@@ -44,6 +44,7 @@ EFFECT = Effect(
     sampled=tuple(State(f"u{i}", "V", f"input of {i} samples before") for i in range(DELAY_SAMPLES + 1)),
     updates=updates,
     command=command,
+    without_truth=("delay",),
     off={"delay": 0.0},
     separation="drive it with a sweep to ever higher frequencies: the phase lag of a dead time grows without limit, that of the "
     "winding ends at a quarter period",

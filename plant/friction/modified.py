@@ -31,7 +31,7 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
         dw = k * v - p.c * ca.fabs(v) * p.w
         true = {f"sigma{i}": p[f"sigma{i}"] for i in range(count + 1)} | {"c": p.c, "tau": p.tau}
         if family == "gaussian":  # the functions vanish at high speed, so that Coulomb friction is sigma0/c
-            true["Fc"] = p.sigma0 / p.c
+            true |= {"Fc": p.sigma0 / p.c, "width": SX(1)}
             last = ca.fmax(ca.fabs(p[f"sigma{count}"]), 1e-12 * p.sigma0)
             true["vc"] = gaussian_end(NEGLIGIBLE * p.sigma0 / last, count)
         else:  # sigma_i of another basis are other quantities than an observer's estimates

@@ -112,7 +112,7 @@ def test_the_binary_starts_with_the_values_of_the_description(built, Raw, fmi, c
         if v.start is not None:
             assert value == float(v.start), v.name
         elif v.causality != "independent" and kind == "Real":
-            assert math.isfinite(value) or case[0] == "observer" or v.name.startswith("true."), v.name
+            assert math.isfinite(value), v.name
 
 
 def test_units_are_defined_by_their_si_factors(built):

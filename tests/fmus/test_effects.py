@@ -53,7 +53,7 @@ def test_parameters_of_effects_are_described_in_the_fmu():
                 assert fmu.interval(p.name) == (p.minimum, p.maximum)
                 assert fmu.start(p.name) == p.default
                 assert variable.description == f"{p.description} ({p.symbol})"
-        assert fmu.description.description.endswith("with cogging with back_emf; no true value of alpha2")
+        assert fmu.description.description.endswith("with cogging with back_emf; no true value of load, alpha2")
 
 
 def test_a_plant_of_one_smooth_law_has_an_encoder_where_that_is_asked_for():

@@ -283,12 +283,15 @@ def test_what_changes_a_parameter_leaves_no_true_value_of_it(name):
     assert ("Fc" in e.without_truth) is (dry or e.coupling is not None)
     assert ("alpha2" in e.without_truth) is (e.coupling is not None or name == "back_emf")
     assert ("b" in e.without_truth) is (e.coupling is not None or name == "gain_asymmetry")
+    pushes = e.torque is not None and name != "quadratic_drag"  # which is even in the velocity
+    assert ("load" in e.without_truth) is (pushes or e.coupling is not None or name == "asymmetric_coulomb")
+    assert ("delay" in e.without_truth) is (name in ("input_delay", "electrical_pole"))
     program = servo_program("stribeck_static" if (name, "lugre") in REFUSED else "lugre", effects=(name,))
     values = Native(program).values
-    for key in ("alpha2", "b", "Fc", "v0"):
+    for key in ("alpha2", "b", "Fc", "v0", "load", "delay"):
         valid = values[program.index[f"true.{key}_valid"]]
         assert valid == (key not in e.without_truth)
-        assert np.isfinite(values[program.index[f"true.{key}"]]) == valid
+        assert valid or values[program.index[f"true.{key}"]] == 0.0
 
 
 # -- arithmetic ------------------------------------------------------------------------------------------------------------

@@ -11,8 +11,9 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.model.basis import gaussian
 from bristle.model.native import Native
+from bristle.model.normalised import OBSERVED
 from bristle.plant.friction import law, laws
-from bristle.plant.servo import NORMALISED, servo_program
+from bristle.plant.servo import servo_program
 
 H = 1e-3
 GRID = 2 * math.pi / 40000
@@ -160,7 +161,7 @@ OWN = {
     "viscous": {},
 }
 EXPECTED = {
-    "modified": {"Fc": 4.0, "sigma0": 500.0, "sigma1": 700.0, "sigma2": 200.0, "c": 125.0, "tau": 0.01},
+    "modified": {"Fc": 4.0, "sigma0": 500.0, "sigma1": 700.0, "sigma2": 200.0, "c": 125.0, "tau": 0.01, "width": 1.0},
     "modified_polynomial": {"sigma0": 500.0, "c": 125.0, "tau": 0.0},
     "lugre": {"Fc": 3.0, "a0": 0.0075, "a1": 0.005, "v0": math.radians(25)},
     "lugre_velocity_damping": {"Fc": 3.0, "a0": 0.0075, "a1": 0.0015, "v0": math.radians(25)},
@@ -178,16 +179,17 @@ EXPECTED = {
 def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
     program = servo_program(name)
     values = Native(program, {"J": J, "b": 0.01, "a2": 0.003, **OWN[name]}).values
-    expected = {"alpha2": 1.5, "b": 5.0, **EXPECTED[name]}
-    assert set(NORMALISED) == {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau", "vc", "a0", "a1", "v0"}
-    for parameter in set(NORMALISED) - {"vc"}:  # which follows from the others; see below
+    expected = {"alpha2": 1.5, "b": 5.0, "load": 0.0, "delay": 0.0, **EXPECTED[name]}
+    names = {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau", "vc", "a0", "a1", "v0", "load", "delay", "width"}
+    assert set(OBSERVED) == names
+    for parameter in names - {"vc"}:  # which follows from the others; see below
         value = values[program.index[f"true.{parameter}"]]
         valid = values[program.index[f"true.{parameter}_valid"]]
         assert valid == (1.0 if parameter in expected else 0.0)
         if parameter in expected:
             assert value == pytest.approx(expected[parameter], rel=1e-14)
         else:
-            assert math.isnan(value)
+            assert value == 0.0
 
 
 def test_the_true_gate_is_where_the_basis_functions_leave_five_percent():
