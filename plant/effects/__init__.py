@@ -8,7 +8,7 @@ from functools import cache
 from bristle.common.errors import BristleError, suggest
 from bristle.common.plugins import catalogue_modules
 from bristle.model.declarations import checked_declarations
-from bristle.model.normalised import NORMALISED
+from bristle.model.normalised import OBSERVED
 from bristle.plant.effect import VIEWS, Effect
 from bristle.plant.wording import ROTARY, Wording
 
@@ -34,7 +34,7 @@ def _check(effect: Effect, known: Mapping[str, Effect]) -> None:
     for key, names in of_parameters.items():
         _must_know(key, names, own, "parameter of the effect")
     _must_know("residual", effect.residual, list(VIEWS), "view")
-    _must_know("without_truth", effect.without_truth, list(NORMALISED), "normalised parameter")
+    _must_know("without_truth", effect.without_truth, list(OBSERVED), "normalised parameter")
     _must_know("confounded", effect.confounded, list(known), "effect")
     _must_know("group", effect.group.split("/"), list(known), "effect")
     if effect.name not in effect.group.split("/"):
