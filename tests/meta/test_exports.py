@@ -30,7 +30,7 @@ PUBLIC = {
     "bristle.model.variables": ["Namespace", "Parameter", "State", "Variable"],
     "bristle.observer": ["methods", "observer_program"],
     "bristle.observer.method": [
-        "EquationContext", "Method", "Sample", "Update", "observer", "stack", "stack_symmetric", "symmetric_states", "unstack",
+        "EquationContext", "Method", "Sample", "Update", "delayed", "observer", "stack", "stack_symmetric", "symmetric_states", "unstack",
         "unstack_symmetric", "vector_states",
     ],
     "bristle.plant.effect": [
