@@ -30,8 +30,8 @@ PUBLIC = {
     "bristle.model.variables": ["Namespace", "Parameter", "State", "Variable"],
     "bristle.observer": ["methods", "observer_program"],
     "bristle.observer.method": [
-        "EquationContext", "Method", "Sample", "Update", "delayed", "observer", "stack", "stack_symmetric", "symmetric_states", "unstack",
-        "unstack_symmetric", "vector_states",
+        "EquationContext", "Method", "Sample", "Update", "delayed", "observer", "stack", "stack_symmetric", "symmetric_states",
+        "unstack", "unstack_symmetric", "vector_states",
     ],
     "bristle.plant.effect": [
         "Context", "Coupling", "DRY_FRICTION", "Effect", "Evidence", "Extension", "Limits", "OVER_INERTIA", "RecordedMotion",
