@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -132,6 +133,7 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
     stimuli = read_stimuli(loaded, plant, [name for name in BUS_PORTS["plant"]["inputs"] if plant.has(name, "input")], h)
     setup = Setup(loaded, fmus, values, samples, h, stimuli)
     _check_sensors(setup)
+    _tell_resolution(setup)
     validated = round(scenario.validation.duration / h) if scenario.validation else 0
     check_range(loaded, plant, stimuli, max(setup.steps, validated), h)
     return setup
@@ -174,6 +176,18 @@ def _check_sensors(setup: Setup) -> None:
                 raise setup.loaded.error(key, choice, f"the plant has no output '{output}'; write {key} = \"clean\"")
     if not any(setup.fmus["observer"].has(name, "input") for name in ("y_theta", "y_v")):
         raise setup.loaded.error("observer.fmu", str(setup.fmus["observer"].path), "has neither input y_theta nor y_v; add one")
+
+
+def _tell_resolution(setup: Setup) -> None:
+    """Give the observer the step of the plant's encoder, where it reads the encoder and the user has not said otherwise."""
+    observer, plant, counts = setup.fmus["observer"], setup.fmus["plant"], "encoder.counts"
+    if setup.scenario.sensor != "encoder" or not plant.has(counts, "parameter"):
+        return
+    step = 2 * math.pi / float(setup.values["plant"].get(counts, plant.start(counts)))
+    method = getattr(setup.scenario.observer, "method", None)
+    for name in observer.names("parameter"):
+        if name == f"{method}.resolution":
+            setup.values["observer"].setdefault(name, step)
 
 
 def _instances(setup: Setup, names: tuple[str, ...]) -> tuple[Instance, ...]:

@@ -70,7 +70,6 @@ SHARED_COUNT = 100.0  # samples with the same count, at most, that share one rou
 FADING_POWER = 8  # power of time with which the early noise decays
 UNTRUSTED_TIME = 10.0  # s after a start during which the model never counts as right
 CHANGE_SEARCH_AFTER = 10.0  # s after a start from which changes of the servo are looked for
-TRUSTED_AFTER = 20.0  # s after a start from which the model may count as known to be right
 SENSOR_MEAN_TIME = (0.3, 20.0)  # s, over which the innovations are compared with the sensor: at a start, and late
 LARGEST_SENSOR_RATIO = 100.0  # most that one squared innovation counts over the variance of the sensor
 VALID_ERROR = 0.07  # standard deviation of a valid estimate, over the estimate; of sigma_i over c times the Coulomb level
@@ -216,8 +215,7 @@ def _judge(p: Namespace, h: SX, step: _Step) -> tuple[dict[str, SX], SX, SX]:
         "innovation_sensor": p.innovation_sensor
         + sensor_share * (ca.fmin(step.sensor, LARGEST_SENSOR_RATIO) - p.innovation_sensor),
     }
-    right = ca.logic_and(p.innovation_before < 1, p.age > TRUSTED_AFTER)
-    most = ca.if_else(right, p.surprise, p.change_ratio * ca.fmax(p.innovation_before, 1))
+    most = ca.if_else(p.innovation_before < 1, p.surprise, p.change_ratio * ca.fmax(p.innovation_before, 1))
     changed = ca.logic_and(p.age > CHANGE_SEARCH_AFTER, late > most)
     lost = ca.logic_and(
         ca.logic_and(p.age > LOST_CRITERION[1], p.age < CHANGE_SEARCH_AFTER), p.innovation_least > LOST_CRITERION[2]
