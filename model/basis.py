@@ -6,18 +6,28 @@ import math
 
 import casadi as ca
 
+from bristle.model.variables import Parameter
+
 SX = ca.SX
 DEGREE = math.pi / 180.0
 BASIS_COUNT = 2  # number of basis functions of the shipped models; an argument of the laws and observers
 
 
-def gaussian(v: SX, count: int = BASIS_COUNT) -> list[SX]:
+def width_parameter(prefix: str) -> Parameter:
+    """Declare the factor by which centres and widths are larger than the nominal ones, under the name of a law or a method."""
+    text = "centres and widths of the basis functions over the nominal ones"
+    return Parameter(f"{prefix}.width", "w", "1", 1.0, 1e-6, 1e6, text, "dixit2008 eq. (24)")
+
+
+def gaussian(v: SX, count: int = BASIS_COUNT, even: SX | float = 1.0) -> list[SX]:
     """Return phi_i(v) = exp(-((|v| - v_i)/w_i)^2) for v in rad/s; for two functions centres 0, 20 and widths 10, 20 deg/s.
 
-    The paper prints v without the bars in the second function; the Stribeck curve is even, so they are meant.
+    Of v / width they have `width` times these centres and widths. The paper prints v without the bars in the second function; the
+    Stribeck curve is even, so they are meant. With `even` = 0 it is as printed.
     Source: dixit2008 eq. (24), with beta2 for the second beta1 and |v| for v.
     """
-    return [ca.exp(-(((ca.fabs(v) - centre) / width) ** 2)) for centre, width in _shapes(count)]
+    speed = ca.fabs(v) + (1 - even) * (v - ca.fabs(v))
+    return [ca.exp(-(((speed - centre) / width) ** 2)) for centre, width in _shapes(count)]
 
 
 def _shapes(count: int) -> list[tuple[float, float]]:

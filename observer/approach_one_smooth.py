@@ -6,14 +6,14 @@ import casadi as ca
 
 from bristle.model.variables import Parameter, State
 from bristle.observer import besancon, information, zhang
-from bristle.observer.approach_one import APPROACH_ONE_ENTRIES, adapt, estimates, gain_parameters, gain_states, regressor
+from bristle.observer.approach_one import ALL, Entries, adapt, gain_parameters, regressor
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 MAX_REGRESSOR_ACCELERATION = 1e3  # rad/s2; larger estimates of v' are not used in the regressor
 
 
-def _equations(context: EquationContext, s: Sample) -> Update:
+def update(context: EquationContext, s: Sample, entries: Entries) -> Update:
     """Run the observer (6) with n = 2 on x1 = v, x2 = v' over the sample before the last.
 
     Of that one both ends of u are known, and with them u' by linear interpolation. The terms of G in x2 at its end are solved
@@ -23,31 +23,66 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     f = besancon.filter_of(context, s)
     du = (s.u - p.u_before) / s.period
-    x, upsilon = stack(p, "x", 2), stack(p, "upsilon", 2, len(APPROACH_ONE_ENTRIES))
-    theta = ca.vertcat(*(p[f"theta_{name}"] for name in APPROACH_ONE_ENTRIES))
-    g0 = regressor(p.y_before, _limited(x[1]), p.u_before, du)
-    g1 = regressor(s.y0, SX(0), s.u, du)
-    rate = ca.fmax(theta[0] + ca.fabs(s.y0) * theta[7], 0)  # whose step never divides by zero
-    x = zhang.ahead(f, x, ca.vertcat(0, g0 @ theta) + f.k * p.y_before, ca.vertcat(0, g1 @ theta) + f.k * s.y0, rate)
-    upsilon = f.phi @ upsilon + f.m0[:, 1] @ g0 + f.m1[:, 1] @ regressor(s.y0, _limited(x[1]), s.u, du)
-    theta_new, r = adapt(p, upsilon[0, :].T, s.y0 - x[0], s.period)
+    x, upsilon = stack(p, "x", 2), stack(p, "upsilon", 2, len(entries.names))
+    theta = entries.read(p)
+
+    def row(v: SX, dv: SX, u: SX) -> tuple[SX, SX]:
+        return entries.split(p, regressor(v, dv, u, du, p.width))
+
+    g0, push0 = row(p.y_before, _limited(x[1]), p.u_before)
+    g1, push1 = row(s.y0, SX(0), s.u)
+    alpha2 = p.alpha2 if entries.known else theta[0]
+    rate = ca.fmax(alpha2 + ca.fabs(s.y0) * theta[-1], 0)  # whose step never divides by zero
+    start = ca.vertcat(0, g0 @ theta + push0) + f.k * p.y_before
+    end = ca.vertcat(0, g1 @ theta + push1) + f.k * s.y0
+    x = zhang.ahead(f, x, start, end, rate)
+    upsilon = f.phi @ upsilon + f.m0[:, 1] @ g0 + f.m1[:, 1] @ row(s.y0, _limited(x[1]), s.u)[0]
+    theta_new, r = adapt(p, entries, upsilon[0, :].T, s.y0 - x[0], s.period)
     ready = p.seen > 0  # the first sample has none before it
     moved = {
         **unstack("x", x + upsilon @ (theta_new - theta)),
         **unstack("upsilon", upsilon),
         **information.write(r),
-        **{f"theta_{name}": theta_new[i] for i, name in enumerate(APPROACH_ONE_ENTRIES)},
+        **entries.write(theta_new),
     }
     return Update(
         next={name: ca.if_else(ready, value, p[name]) for name, value in moved.items()}
         | {"x0": ca.if_else(ready, moved["x0"], s.y0), "y_before": s.y0, "u_before": s.u, "seen": SX(1)},
-        estimates=estimates(p),
+        estimates=entries.estimates(p),
         signals={"v": p.x0},
     )
 
 
+def _equations(context: EquationContext, s: Sample) -> Update:
+    return update(context, s, ALL)
+
+
 def _limited(dv: SX) -> SX:
     return ca.fmin(ca.fmax(dv, -MAX_REGRESSOR_ACCELERATION), MAX_REGRESSOR_ACCELERATION)
+
+
+def parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare filter and gain under a method's name."""
+    return (
+        *(
+            Parameter(f"{prefix}.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", zhang.CITATION)
+            for i, k in enumerate(besancon.K0, start=1)
+        ),
+        Parameter(f"{prefix}.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.CITATION),
+        *gain_parameters(prefix, 1.0),
+    )
+
+
+def states(entries: Entries) -> tuple[State, ...]:
+    """Declare filter, entries and the sample before the last."""
+    return (
+        *vector_states("x", "1", "state estimate", 2),
+        *vector_states("upsilon", "1", "filtered regressor", 2 * len(entries.names)),
+        *entries.states(),
+        State("u_before", "V", "input before the last one"),
+        State("y_before", "rad/s", "velocity before the last one"),
+        State("seen", "1", "1 after the first step"),
+    )
 
 
 METHOD = Method(
@@ -55,21 +90,7 @@ METHOD = Method(
     "Approach I for a piecewise linear input: Besancon-Zhang-Hammouri observer of all eight entries",
     "dixit2008 eq. (6) and (19)-(22)",
     "y_v",
-    (
-        *(
-            Parameter(f"approach_one_smooth.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", zhang.CITATION)
-            for i, k in enumerate(besancon.K0, start=1)
-        ),
-        Parameter("approach_one_smooth.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "filter bandwidth", zhang.CITATION),
-        *gain_parameters("approach_one_smooth", 1.0),
-    ),
-    (
-        *vector_states("x", "1", "state estimate", 2),
-        *vector_states("upsilon", "1", "filtered regressor", 2 * len(APPROACH_ONE_ENTRIES)),
-        *gain_states(),
-        State("u_before", "V", "input before the last one"),
-        State("y_before", "rad/s", "velocity before the last one"),
-        State("seen", "1", "1 after the first step"),
-    ),
+    parameters("approach_one_smooth"),
+    states(ALL),
     _equations,
 )

@@ -87,20 +87,20 @@ def regressor(s: Sample) -> SX:
     return ca.vertcat(-(s.y0 + s.y1) / 2, s.u, -ca.sign(s.y0))
 
 
-def adapt(p: Namespace, s: Sample, vc: SX) -> dict[str, SX]:
+def adapt(p: Namespace, s: Sample, vc: SX, entry: SX | None = None) -> dict[str, SX]:
     """Advance x^ and theta^ over one sample: x' = phi theta, phi = [-v, u, -sgn v], while |v| > vc.
 
     Held over a sample: phi takes the mean of the two velocities (an Euler step on y_(k-1) biases b by c1 Ts/2), the
     gradient is taken at the error that the new theta^ leaves, and of that error exp(-c1 Ts) remains: with theta~ for the
     error of theta^, theta~' Gamma^-1 theta~ plus the square of the error never grows, whatever the gain. At gate entry x^ is
-    set to the measured velocity.
+    set to `entry`, or to the measured velocity.
 
     Source: bastin1988 eq. (3); dixit2008 eq. (3) with n = 1, R = 0 and section IV-E.
     """
     theta = ca.vertcat(p.step1_alpha2, p.step1_b, p.step1_Fc)
     gamma = ca.vertcat(p.gamma1, p.gamma2, p.gamma3)
     gate = fast(s, vc)
-    x = ca.if_else(p.step1_gate > 0, p.step1_v, s.y0)
+    x = ca.if_else(p.step1_gate > 0, p.step1_v, s.y0 if entry is None else entry)
     phi = regressor(s)
     predicted = x + s.period * ca.dot(phi, theta)
     error = (s.y1 - predicted) / (1 + s.period**2 * ca.dot(phi, gamma * phi))

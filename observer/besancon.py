@@ -20,7 +20,7 @@ def filter_of(context: EquationContext, s: Sample) -> zhang.Filter:
     return zhang.make_filter(context, ca.vertcat(p.k1, p.k2), p.lam, s.period)
 
 
-def predict(f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, unit: float = 1.0) -> tuple[SX, SX]:
+def predict(f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b: SX, phi: zhang.Basis) -> tuple[SX, SX]:
     """Advance x^ = (v^, -w^) and Ups over one sample for x1' = x2 - alpha2 v + b u, x2' = psi theta.
 
     v is the measured velocity, linear between samples, u is held. The term c |v| x2 of psi at the end of the sample
@@ -28,11 +28,12 @@ def predict(f: zhang.Filter, x: SX, ups: SX, theta: SX, s: Sample, alpha2: SX, b
 
     Source: dixit2008 section IV-E; zhang.py for the filter.
     """
-    psi0, psi1 = zhang.regressor(s.y0, x[1], unit), zhang.regressor(s.y1, SX(0), unit)
+    entries = slice(theta.numel())
+    psi0, psi1 = zhang.regressor(s.y0, x[1], phi)[:, entries], zhang.regressor(s.y1, SX(0), phi)[:, entries]
     f0 = ca.vertcat(-alpha2 * s.y0 + b * s.u, psi0 @ theta) + f.k * s.y0
     f1 = ca.vertcat(-alpha2 * s.y1 + b * s.u, psi1 @ theta) + f.k * s.y1
     x_new = zhang.ahead(f, x, f0, f1, ca.fabs(s.y1) * theta[3])
-    psi1 = zhang.regressor(s.y1, x_new[1], unit)
+    psi1 = zhang.regressor(s.y1, x_new[1], phi)[:, entries]
     return x_new, f.phi @ ups + f.m0[:, 1] @ psi0 + f.m1[:, 1] @ psi1
 
 
@@ -40,14 +41,14 @@ def step(context: EquationContext, s: Sample, f: zhang.Filter, alpha2: SX, b: SX
     """Return the next states of the matrix-gain observer with the given alpha2 and b."""
     p = context.p
     x, ups, theta, mean = zhang.read(p, 2)
-    x, ups = predict(f, x, ups, theta, s, alpha2, b)
+    x, ups = predict(f, x, ups, theta, s, alpha2, b, zhang.basis(p))
     new = zhang.gradient(ups, theta, s.y1 - x[0], zhang.matrix_gain(p), s.period, low=True)
     return zhang.write(x + ups @ (new - theta), ups, new, mean, zhang.averaging_weight(p, s.period))
 
 
 def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals): the averaged parameters, and the present state estimates."""
-    return zhang.averaged(p), {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
+    return zhang.estimates(p, "mean"), {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

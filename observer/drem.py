@@ -7,11 +7,11 @@ Source: aranovskiy2017; dixit2008 eq. (15) and (16).
 
 from __future__ import annotations
 
+import math
 from itertools import combinations
 
 import casadi as ca
 
-from bristle.model.basis import gaussian
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import extension, zhang
 from bristle.observer.besancon import START_VALUES
@@ -19,21 +19,23 @@ from bristle.observer.method import EquationContext, Method, Sample, Update, sta
 
 SX = ca.SX
 CITATION = "aranovskiy2017"
+N = len(zhang.ENTRIES)
 SETTLED_AFTER = 10.0  # time constants after which the start of two sections is below a thousandth
 
 
-def means(s: Sample, alpha2: SX, b: SX) -> SX:
-    """Return the means over a sample of w, v, phi1 v, phi2 v and -|v| w, for v linear over it and u held.
+def means(s: Sample, alpha2: SX, b: SX, phi: zhang.Basis) -> SX:
+    """Return the means over a sample of w, v, phi1 v, phi2 v, -|v| w and -|v|, for v linear over it and u held.
 
+    With a constant load torque d over the inertia, w - d stands in the place of w; the last entry of theta is then c d.
     Those of v' and of |v| v' are differences, which are exact.
     Source: dixit2008 eq. (15) and (16).
     """
-    springs = [(f0 * s.y0 + f1 * s.y1) / 2 for f0, f1 in zip([SX(1), *gaussian(s.y0)], [SX(1), *gaussian(s.y1)], strict=True)]
+    springs = [(f0 * s.y0 + f1 * s.y1) / 2 for f0, f1 in zip([SX(1), *phi(s.y0)], [SX(1), *phi(s.y1)], strict=True)]
     area0, area1 = s.y0 * ca.fabs(s.y0), s.y1 * ca.fabs(s.y1)
     speed = (ca.fabs(s.y0) + ca.fabs(s.y1)) / 2
     w = b * s.u - alpha2 * springs[0] - (s.y1 - s.y0) / s.period
     worn = b * speed * s.u - alpha2 * (area0 + area1) / 2 - (area1 - area0) / (2 * s.period)
-    return ca.vertcat(w, *springs, -worn)
+    return ca.vertcat(w, *springs, -worn, -speed)
 
 
 def regression(p: Namespace, signals: SX, period: SX) -> tuple[SX, SX, dict[str, SX]]:
@@ -42,7 +44,7 @@ def regression(p: Namespace, signals: SX, period: SX) -> tuple[SX, SX, dict[str,
     Two equal low-pass sections act on all signals; the difference of two means of w is the mean of two means of w'.
     Source: aranovskiy2017; dixit2008 eq. (16).
     """
-    once, twice = stack(p, "step2_once", 5), stack(p, "step2_twice", 5)
+    once, twice = stack(p, "step2_once", N + 1), stack(p, "step2_twice", N + 1)
     gain = 1 - ca.exp(-p.bandwidth * period)
     once_new = once + gain * (signals - once)
     new = twice + gain * (once_new - twice)
@@ -86,15 +88,14 @@ def adapt(p: Namespace, z: SX, h: SX, period: SX) -> dict[str, SX]:
     the record separates the parameters: well below kappa little moves. sigma0 and c stay positive by projection.
     Source: aranovskiy2017, with the extension of kreisselmeier1977.
     """
-    theta = ca.vertcat(*(p[f"step2_{name}"] for name in zhang.ESTIMATES))
+    theta = zhang.read_estimates(p, "step2")
     phi, y = extension.extend(p, h, z, period)
     delta, mixed = mix(phi, y)
     least = (p.noise / zhang.scales(p)) ** 2
-    lifted = [phi[i, i] + least[i] for i in range(4)]
-    largest = lifted[0] * lifted[1] * lifted[2] * lifted[3]
+    largest = math.prod((phi[i, i] + least[i] for i in range(N)), start=SX(1))
     share = (1 - ca.exp(-p.gain * period)) * delta / (delta**2 + (p.kappa * largest) ** 2)
     new = ca.fmax(theta + share * (mixed - delta * theta), ca.vertcat(*zhang.LOWEST))
-    return {**extension.write(phi, y), **{f"step2_{name}": new[i] for i, name in enumerate(zhang.ESTIMATES)}}
+    return {**extension.write(phi, y), **zhang.write_estimates("step2", new)}
 
 
 def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
@@ -102,7 +103,7 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
 
     Nothing counts until the filters have forgotten that they began from zero, where w may be anything.
     """
-    z, h, filters = regression(p, means(s, alpha2, b), s.period)
+    z, h, filters = regression(p, means(s, alpha2, b, zhang.basis(p)), s.period)
     counts = p.step2_clear > SETTLED_AFTER / p.bandwidth
     new = {name: ca.if_else(counts, value, p[name]) for name, value in adapt(p, z, h, s.period).items()}
     return filters | new | {"step2_clear": p.step2_clear + s.period}
@@ -111,7 +112,7 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
 def published(p: Namespace, v: SX, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals); w is the filtered one."""
     w = p.step2_twice0
-    return {name: p[f"step2_{name}"] for name in zhang.ESTIMATES}, {"v": v, "w": w, "F": w + alpha2 * v}
+    return zhang.estimates(p, "step2"), {"v": v, "w": w, "F": w + alpha2 * v}
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -132,11 +133,14 @@ def parameters(prefix: str, bandwidth: float) -> tuple[Parameter, ...]:
     )
 
 
-STATES = (
-    *vector_states("step2_once", "1", "signals of step 2 after one section", 5),
-    *vector_states("step2_twice", "1", "signals of step 2 after two sections", 5),
+FILTER_STATES = (
+    *vector_states("step2_once", "1", "signals of step 2 after one section", N + 1),
+    *vector_states("step2_twice", "1", "signals of step 2 after two sections", N + 1),
     State("step2_clear", "s", "time since the filters of step 2 began"),
-    *extension.states(4),
+)
+STATES = (
+    *FILTER_STATES,
+    *extension.states(N),
     *zhang.estimate_states("step2"),
 )
 

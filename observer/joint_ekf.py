@@ -5,8 +5,11 @@ Least squares at high speed give alpha2 and b first; the filter then runs on all
 
 from __future__ import annotations
 
+from functools import partial
+
 import casadi as ca
 
+from bristle.model.basis import width_parameter
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import kalman, rls
@@ -22,10 +25,10 @@ LOWEST = {"alpha2": 0.0, "sigma0": 1.0, "c": 1.0, "tau": 0.0}
 HIGHEST = {"tau": 1.0}
 
 
-def _servo(entries: SX) -> kalman.Servo:
+def _servo(p: Namespace, entries: SX) -> kalman.Servo:
     """Read the parameters as they stand."""
     alpha2, b, *sigma, c, tau = ca.vertsplit(entries)
-    return kalman.Servo(alpha2, b, sigma, c, tau)
+    return kalman.Servo(alpha2, b, sigma, c, tau, width=p.width)
 
 
 def _filter(p: Namespace, s: Sample) -> tuple[SX, SX]:
@@ -33,7 +36,7 @@ def _filter(p: Namespace, s: Sample) -> tuple[SX, SX]:
 
     Source: jazwinski1970 chapter 8; ljung1979 (parameters as states).
     """
-    z, covariance = kalman.predict(_servo, *kalman.read(p, kalman.JOINT_ORDER), s.u, s.period)
+    z, covariance = kalman.predict(partial(_servo, p), *kalman.read(p, kalman.JOINT_ORDER), s.u, s.period)
     rates = [SX(0), p.noise_v, p.noise_w, *(p.noise_parameters * spread**2 for spread in SPREADS.values())]
     error = s.y1 + p.resolution / 2 - z[0]
     noisy = kalman.noisy(covariance, rates, s.period)
@@ -51,7 +54,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     fixed = [p[f"{name}_start"] for name in START_VALUES]
     waiting = ca.vertcat(s.y1 + p.resolution / 2, p.last_v, 0, step1["alpha2"], step1["b"], *fixed)
     joint, cov = kalman.read(p, kalman.JOINT_ORDER)
-    servo = _servo(joint[MOTION_STATES:])
+    servo = _servo(p, joint[MOTION_STATES:])
     friction = servo.sigma[0] / ca.fmax(servo.c, LOWEST["c"])
     return Update(
         next=rls.fit(p, s) | kalman.write(ca.if_else(go, z, waiting), ca.if_else(go, covariance, cov)),
@@ -68,6 +71,7 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
     return (
         *kalman.parameters(prefix),
         *rls.parameters(prefix),
+        width_parameter(prefix),
         Parameter(f"{prefix}.start_time", "T0", "s", 10.0, 0.0, 1e6, "when the filter begins", "ljung1999 section 11.2"),
         *(
             Parameter(

@@ -23,6 +23,7 @@ from bristle.observer.rls import least_squares
 
 SX = ca.SX
 CITATION = "martinez2001"
+N = len(zhang.ENTRIES)
 
 
 def switching(e: SX, k: SX, rho: SX, period: SX) -> tuple[SX, SX]:
@@ -36,16 +37,16 @@ def switching(e: SX, k: SX, rho: SX, period: SX) -> tuple[SX, SX]:
     return (e - left + stopped) / period, SX(ca.fabs(left) <= rho * period)
 
 
-def predict(x2: SX, ups: SX, theta: SX, s: Sample) -> tuple[SX, SX]:
+def predict(x2: SX, ups: SX, theta: SX, s: Sample, phi: zhang.Basis) -> tuple[SX, SX]:
     """Advance x2' = psi theta and Ups' = psi - c |v| Ups over a sample; what holds the value at its end is solved for.
 
     Source: dixit2008 section IV-E.
     """
     half = s.period / 2
-    psi0, psi1 = zhang.regressor(s.y0, x2), zhang.regressor(s.y1, SX(0))
+    psi0, psi1 = zhang.regressor(s.y0, x2, phi), zhang.regressor(s.y1, SX(0), phi)
     kept, lost = 1 - half * theta[3] * ca.fabs(s.y0), 1 + half * theta[3] * ca.fabs(s.y1)
     ahead = (x2 + half * (psi0 + psi1) @ theta) / lost
-    return ahead, (kept * ups + half * (psi0 + zhang.regressor(s.y1, ahead)).T) / lost
+    return ahead, (kept * ups + half * (psi0 + zhang.regressor(s.y1, ahead, phi)).T) / lost
 
 
 def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
@@ -53,9 +54,9 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
 
     Source: martinez2001.
     """
-    theta = ca.vertcat(*(p[f"step2_{name}"] for name in zhang.ESTIMATES))
-    ups, covariance, filtered = stack(p, "upsilon", 4), stack(p, "step2_p", 4, 4), stack(p, "filtered", 5)
-    x2, ahead = predict(p.x1, ups, theta, s)
+    theta = zhang.read_estimates(p, "step2")
+    ups, covariance, filtered = stack(p, "upsilon", N), stack(p, "step2_p", N, N), stack(p, "filtered", N + 1)
+    x2, ahead = predict(p.x1, ups, theta, s, zhang.basis(p))
     v = p.x0 + s.period * (b * s.u - alpha2 * (s.y0 + s.y1) / 2 + (p.x1 + x2) / 2)
     nu, slides = switching(s.y1 - v, p.k, p.rho, s.period)
     mean = (ups + ahead) / 2
@@ -66,7 +67,7 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
     z, h = filtered[0], filtered[1:]
     scale = zhang.scales(p)
     kept = ca.exp(-p.fading * s.period)
-    change, spread = least_squares(covariance, scale * h, z - ca.dot(h, theta), p.noise**2, kept, 4 * p.uncertainty)
+    change, spread = least_squares(covariance, scale * h, z - ca.dot(h, theta), p.noise**2, kept, N * p.uncertainty)
     new = ca.if_else(learns, ca.fmax(theta + scale * change, ca.vertcat(*zhang.LOWEST)), theta)
     gain = 1 - ca.exp(-p.kappa * s.period)
     ups_new = ahead - gain * mean
@@ -77,13 +78,13 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
         **unstack("filtered", filtered),
         **unstack("step2_p", ca.if_else(learns, spread, covariance)),
         "step2_clear": clear,
-        **{f"step2_{name}": new[i] for i, name in enumerate(zhang.ESTIMATES)},
+        **zhang.write_estimates("step2", new),
     }
 
 
 def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
     """Return (estimates, signals)."""
-    return {name: p[f"step2_{name}"] for name in zhang.ESTIMATES}, {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
+    return zhang.estimates(p, "step2"), {"v": p.x0, "w": -p.x1, "F": -p.x1 + alpha2 * p.x0}
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -112,12 +113,12 @@ def parameters(prefix: str, bandwidth: float, noise: float) -> tuple[Parameter, 
 
 STATES = (
     *vector_states("x", "1", "state estimate", 2),
-    *vector_states("upsilon", "1", "filtered regressor", 4),
-    *vector_states("filtered", "1", "regression behind the low-pass filter", 5),
+    *vector_states("upsilon", "1", "filtered regressor", N),
+    *vector_states("filtered", "1", "regression behind the low-pass filter", N + 1),
     *(
-        State(f"step2_p{4 * i + j}", "1", "covariance of the estimates", initial=(lambda p: p.uncertainty) if i == j else 0.0)
-        for i in range(4)
-        for j in range(4)
+        State(f"step2_p{N * i + j}", "1", "covariance of the estimates", initial=(lambda p: p.uncertainty) if i == j else 0.0)
+        for i in range(N)
+        for j in range(N)
     ),
     State("step2_clear", "s", "time since it slides"),
     *zhang.estimate_states("step2"),

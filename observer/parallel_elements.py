@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from bristle.model.basis import BASIS_COUNT, gaussian
+from bristle.model.basis import BASIS_COUNT, gaussian, width_parameter
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import rls
 from bristle.observer.method import (
@@ -45,7 +45,7 @@ def _relaxed(p: Namespace, s: Sample) -> SX:
     Source: dixit2008 eq. (17); hochbruck2010 section 2 (exponential step).
     """
     v = (s.y0 + s.y1) / 2
-    basis = ca.vertcat(1, *gaussian(v))
+    basis = ca.vertcat(1, *gaussian(v / p.width))
     chi, new = stack(p, "chi", CHI), []
     for i, c in enumerate(ca.vertsplit(_distances(p))):
         travel = ca.fmax(c * ca.fabs(v) * s.period, 1e-9)
@@ -99,6 +99,7 @@ METHOD = Method(
             "parallel_elements.cutoff", "a", "rad/s", 150.0, 1e-3, 1e5, "corner of each of two low-pass sections", FIT_CITATION
         ),
         Parameter("parallel_elements.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", FIT_CITATION),
+        width_parameter("parallel_elements"),
     ),
     (
         *vector_states("chi", "1", "filtered basis functions", CHI),

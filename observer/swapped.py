@@ -11,7 +11,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
     Source: dixit2008 eq. (20)-(22).
     """
-    start, end = swapping.signals(s.u, s.y0), swapping.signals(s.u, s.y1)
+    start, end = swapping.signals(s.u, s.y0, context.p.width), swapping.signals(s.u, s.y1, context.p.width)
     return Update(
         next=swapping.step(context, s, start, end),
         estimates=swapping.estimates(context.p),
@@ -25,6 +25,6 @@ METHOD = Method(
     "dixit2008 eq. (20)-(22)",
     "y_v",
     swapping.parameters("swapped", 20.0),
-    swapping.STATES,
+    swapping.states(),
     _equations,
 )

@@ -4,14 +4,18 @@ v'' = -alpha2 v' + b u' - K(v) v + c |v| (b u - alpha2 v - v') follows from (15)
 term is a derivative of something known, so that after a filter L nothing is left to differentiate:
     s^2 L v = [-s L v, s L u, -L v, -L phi1 v, -L phi2 v, L |v| u, -L v |v|, -s L v |v| / 2] theta,
     theta = [alpha2, b, sigma0, sigma1, sigma2, c b, c alpha2, c].
+Where alpha2 and b are known the first two terms go to the left and the last three become one: four entries, all of them free.
 Source: dixit2008 eq. (20)-(22); filtering as in kreisselmeier1977.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
 import casadi as ca
 
-from bristle.model.basis import gaussian
+from bristle.model.basis import gaussian, width_parameter
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, zhang
@@ -23,13 +27,14 @@ ESTIMATES = units("alpha2", "b", "sigma0", "sigma1", "sigma2", "c")
 SIGNAL_COUNT = 6  # v, u, phi1 v, phi2 v, |v| u, v |v|
 ENTRY_COUNT = 8
 ROW = ENTRY_COUNT + 1  # the regressor, followed by the signal that it explains
+KNOWN_ROW = len(zhang.ESTIMATES) + 1  # the same where alpha2 and b are known
 SETTLED_AFTER = 10.0  # filter time constants after which the state before the first sample has decayed
 LOWEST = (0.0, -1e6, 1.0, -1e9, -1e9, 1.0)  # projection, as in zhang.py; alpha2 is not negative either
 
 
-def signals(u: SX, v: SX) -> SX:
+def signals(u: SX, v: SX, width: SX) -> SX:
     """Return the signals to be filtered, as a row."""
-    phi = gaussian(v)
+    phi = gaussian(v / width)
     return ca.horzcat(v, u, *(shape * v for shape in phi), ca.fabs(v) * u, ca.fabs(v) * v)
 
 
@@ -71,7 +76,34 @@ def estimate(r: SX) -> tuple[SX, SX, SX, SX]:
     return ca.vertcat(theta[:5], c) + six.solve(inconsistent), six.inverse_diagonal(), eight.d[-1], least
 
 
-def step(context: EquationContext, s: Sample, start: SX, end: SX) -> dict[str, SX]:
+@dataclass(frozen=True)
+class Known:
+    """alpha2 and b, where they are known."""
+
+    alpha2: SX
+    b: SX
+
+
+def reduced(row: SX, known: Known) -> SX:
+    """Return [regressor, signal that it explains] for theta = [sigma0, sigma1, sigma2, c] from the row of all eight entries.
+
+    Source: dixit2008 section III, Approach II (Approach I with alpha2 and b as known parameters).
+    """
+    c = known.b * row[5] + known.alpha2 * row[6] + row[7]
+    return ca.horzcat(row[2:5], c, row[8] - known.alpha2 * row[0] - known.b * row[1])
+
+
+def estimate_known(r: SX) -> tuple[SX, SX, SX, SX]:
+    """Return what `estimate` does, for the four that are left where alpha2 and b are known.
+
+    Source: dixit2008 section III, Approach II; ljung1999 section 11.2.
+    """
+    n, factors = len(zhang.ESTIMATES), information.Factors(r)
+    diagonal = information.Factors(r[:n, :n]).inverse_diagonal()
+    return factors.regression(), diagonal, factors.d[-1], ca.mmin(ca.vertcat(*factors.shares[:n]))
+
+
+def step(context: EquationContext, s: Sample, start: SX, end: SX, known: Known | None = None) -> dict[str, SX]:
     """Return the next states for signals that go from `start` to `end`.
 
     Errors of the rows of a filter with corner a are alike over 2/a, so that not every sample is a new observation: the
@@ -79,34 +111,36 @@ def step(context: EquationContext, s: Sample, start: SX, end: SX) -> dict[str, S
     """
     p = context.p
     x, row = advance(context, s, start, end)
+    row = reduced(row, known) if known else row
+    found, lowest = (zhang.ESTIMATES, zhang.LOWEST[:-1]) if known else (ESTIMATES, LOWEST)
     counts = p.samples * s.period * p.cutoff > SETTLED_AFTER
     memory = ca.exp(-s.period / p.memory)
-    before = information.read(p, ROW)
+    before = information.read(p, row.numel())
     r = ca.if_else(counts, memory * before + row.T @ row, before)
     rows = ca.if_else(counts, memory * p.rows + 1, p.rows)
-    six, inverse, left, least = estimate(r)
-    free = rows * p.cutoff * s.period / 2 - ENTRY_COUNT  # observations beyond the unknowns
+    theta, inverse, left, least = estimate_known(r) if known else estimate(r)
+    free = rows * p.cutoff * s.period / 2 - (row.numel() - 1)  # observations beyond the unknowns
     variance = left * inverse / ca.fmax(free, 1e-9)
-    kept = ca.fmin(ca.fmax(six, ca.vertcat(*LOWEST)), 1e9)
+    kept = ca.fmin(ca.fmax(theta, ca.vertcat(*lowest)), 1e9)
     excited = ca.logic_and(free > 0, least > p.excitation)
     sharp = ca.logic_and(excited, variance < (p.precision * kept) ** 2)
     return {
         **unstack("filtered", x),
         **information.write(r),
         "rows": rows,
-        **{f"theta_{name}": kept[i] for i, name in enumerate(ESTIMATES)},
-        **{f"sharp_{name}": sharp[i] for i, name in enumerate(ESTIMATES)},
+        **{f"theta_{name}": kept[i] for i, name in enumerate(found)},
+        **{f"sharp_{name}": sharp[i] for i, name in enumerate(found)},
     }
 
 
-def estimates(p: Namespace) -> dict[str, SX]:
+def estimates(p: Namespace, names: Iterable[str] = ESTIMATES) -> dict[str, SX]:
     """Return the estimates by name; Fc follows from sigma0 and c at high speed, as in (18)."""
-    return {name: p[f"theta_{name}"] for name in ESTIMATES} | {"Fc": p.theta_sigma0 / ca.fmax(p.theta_c, 1.0)}
+    return {name: p[f"theta_{name}"] for name in names} | {"Fc": p.theta_sigma0 / ca.fmax(p.theta_c, 1.0)}
 
 
-def valid(p: Namespace) -> dict[str, SX]:
+def valid(p: Namespace, names: Iterable[str] = ESTIMATES) -> dict[str, SX]:
     """Return which estimates are precise enough to be valid."""
-    return {name: p[f"sharp_{name}"] for name in ESTIMATES} | {"Fc": p.sharp_sigma0 * p.sharp_c}
+    return {name: p[f"sharp_{name}"] for name in names} | {"Fc": p.sharp_sigma0 * p.sharp_c}
 
 
 def parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
@@ -134,13 +168,16 @@ def parameters(prefix: str, cutoff: float) -> tuple[Parameter, ...]:
             "standard error over estimate up to which an estimate is valid",
             "ljung1999 section 9.6",
         ),
+        width_parameter(prefix),
     )
 
 
-STATES = (
-    *vector_states("filtered", "1", "filtered signal", 2 * SIGNAL_COUNT),
-    *information.states(ROW),
-    State("rows", "1", "rows in the information matrix"),
-    *(State(f"theta_{name}", unit, f"estimate of {name}") for name, unit in ESTIMATES.items()),
-    *(State(f"sharp_{name}", "1", f"1 where {name} is known well enough") for name in ESTIMATES),
-)
+def states(estimated: Mapping[str, str] = ESTIMATES, row: int = ROW) -> tuple[State, ...]:
+    """Declare the filters, the information of rows of this length, and the estimates with their units."""
+    return (
+        *vector_states("filtered", "1", "filtered signal", 2 * SIGNAL_COUNT),
+        *information.states(row),
+        State("rows", "1", "rows in the information matrix"),
+        *(State(f"theta_{name}", unit, f"estimate of {name}") for name, unit in estimated.items()),
+        *(State(f"sharp_{name}", "1", f"1 where {name} is known well enough") for name in estimated),
+    )

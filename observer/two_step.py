@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import casadi as ca
 
 from bristle.model.variables import Parameter
@@ -26,9 +28,9 @@ def when(go: SX, update: dict[str, SX], rest: dict[str, SX]) -> dict[str, SX]:
     return {name: ca.if_else(go, value, rest[name]) for name, value in update.items()}
 
 
-def waiting(context: EquationContext, y: SX, order: int = 2) -> dict[str, SX]:
+def waiting(context: EquationContext, y: SX, order: int = 2, entries: Mapping[str, str] = zhang.ENTRIES) -> dict[str, SX]:
     """Return the states of step 2 before it starts, with the first one following the measurement."""
-    x, ups, theta, mean = zhang.read(context.p, order)
+    x, ups, theta, mean = zhang.read(context.p, order, entries)
     return zhang.write(ca.vertcat(y, x[1:]), ups, theta, mean, SX(0))
 
 

@@ -1,9 +1,14 @@
-"""Approach II with everything as printed: gains, basis, gate, zero starts; kept to show that it does not converge."""
+"""Approach II with gains, gate and zero starts as printed; kept to show that it does not converge.
+
+Three details are repaired, and can be chosen as printed: what x^ of step 1 is set to at gate entry, |v| in the basis functions, and
+the implicit step of the gradient.
+"""
 
 from __future__ import annotations
 
 import casadi as ca
 
+from bristle.model.variables import Parameter
 from bristle.observer import bastin_gevers, besancon_scalar, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, waiting, when
@@ -21,10 +26,12 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     go = begun(context, s)
     scaled = Sample(s.u / UNIT, s.y0 / UNIT, s.y1 / UNIT, s.period)
     alpha2, b = p.step1_alpha2, p.step1_b
+    entry = ca.if_else(p.measured_entry > 0, scaled.y0, ca.sign(scaled.y0) * p.vc / UNIT)
+    held = waiting(context, s.y1 / UNIT, entries=zhang.ESTIMATES)
     step2 = besancon_scalar.step(context, s, alpha2, b)
     estimates, signals = besancon_scalar.published(context, alpha2)
     return Update(
-        next=bastin_gevers.adapt(p, scaled, p.vc / UNIT) | when(go, step2, waiting(context, s.y1 / UNIT)),
+        next=bastin_gevers.adapt(p, scaled, p.vc / UNIT, entry) | when(go, step2, held),
         estimates={"alpha2": alpha2, "b": b, "Fc": p.step1_Fc * UNIT} | estimates,
         signals=signals,
         first={"step1_v": s.y1 / UNIT, "x0": s.y1 / UNIT},
@@ -41,7 +48,18 @@ METHOD = Method(
         start_parameter("two_step_printed"),
         *bastin_gevers.parameters("two_step_printed", bastin_gevers.PRINTED),
         *zhang.gain_parameters("two_step_printed", besancon_scalar.K0, besancon_scalar.LAM, (0.0, 0.0, 0.0, 0.0)),
+        Parameter(
+            "two_step_printed.measured_entry",
+            "e",
+            "1",
+            1.0,
+            0.0,
+            1.0,
+            "x^ of step 1 at gate entry: 1: the measured velocity; 0: +-vc, as printed",
+            "dixit2008 section IV-E",
+        ),
+        *besancon_scalar.printed_parameters("two_step_printed"),
     ),
-    (*bastin_gevers.states(UNIT, UNIT), *zhang.states(2)),
+    (*bastin_gevers.states(UNIT, UNIT), *zhang.states(2, zhang.ESTIMATES)),
     _equations,
 )

@@ -9,11 +9,12 @@ Source: besancon2004 eq. (6), zhang2002, dixit2008 eq. (6).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
-from bristle.model.basis import gaussian
+from bristle.model.basis import gaussian, width_parameter
 from bristle.model.linear import expm
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
@@ -22,6 +23,8 @@ from bristle.observer.method import EquationContext, stack, unstack, vector_stat
 SX = ca.SX
 CITATION = "besancon2004 eq. (6); dixit2008 eq. (6)"
 ESTIMATES = units("sigma0", "sigma1", "sigma2", "c")
+ENTRIES = ESTIMATES | {"c_load": "1/s2"}  # c times the load torque over the inertia
+ENTRY_SCALES = (1000.0, 1000.0, 1000.0, 100.0, 100.0)  # round numbers, not taken from a plant
 
 
 @dataclass(frozen=True)
@@ -72,15 +75,25 @@ def ahead(f: Filter, x: SX, f0: SX, f1: SX, rate: SX) -> SX:
     return ca.vertcat(free[0] - f.m1[0, 1] * rate * x2, x2)
 
 
-def regressor(v: SX, x2: SX, unit: float = 1.0) -> SX:
-    """psi of step 2 as a row, -[v, phi1 v, phi2 v, |v| x2], for v in `unit` rad/s.
+Basis = Callable[[SX], list[SX]]  # phi_i of a velocity in the unit in which the observer computes
 
+
+def basis(p: Namespace) -> Basis:
+    """Return the basis functions of a velocity in rad/s."""
+    return lambda v: gaussian(v / p.width)
+
+
+def regressor(v: SX, x2: SX, phi: Basis) -> SX:
+    """psi of step 2 as a row, -[v, phi1 v, phi2 v, |v| x2, -|v|].
+
+    A constant load torque d over the inertia makes x2 = d - w, which obeys x2' = -K(v) v + c |v| (d - x2).
     Source: dixit2008 section IV-E, with the sign of x2 = -w kept in psi.
     """
-    return -ca.horzcat(v, *(phi * v for phi in gaussian(v * unit)), ca.fabs(v) * x2)
+    speed = ca.fabs(v)
+    return -ca.horzcat(v, *(each * v for each in phi(v)), speed * x2, -speed)
 
 
-LOWEST = (1.0, -1e9, -1e9, 1.0)  # projection: sigma0 [1/s2] and c [1/rad] stay positive
+LOWEST = (1.0, -1e9, -1e9, 1.0, -1e9)  # projection: sigma0 [1/s2] and c [1/rad] stay positive
 
 
 def gradient(ups: SX, theta: SX, error: SX, gain: SX, period: SX, *, low: bool) -> SX:
@@ -95,28 +108,38 @@ def gradient(ups: SX, theta: SX, error: SX, gain: SX, period: SX, *, low: bool) 
     return ca.fmax(new, ca.vertcat(*LOWEST)) if low else new
 
 
-def estimate_states(prefix: str) -> tuple[State, ...]:
-    """Declare the estimates with their starts."""
+def estimate_states(prefix: str, entries: Mapping[str, str] = ENTRIES) -> tuple[State, ...]:
+    """Declare the estimates with their starts; that of the load is 0."""
     return tuple(
-        State(f"{prefix}_{n}", unit, f"estimate of {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in ESTIMATES.items()
+        State(f"{prefix}_{n}", unit, f"estimate of {n}", initial=(lambda p, n=n: p[f"{n}_start"]) if n in ESTIMATES else 0.0)
+        for n, unit in entries.items()
     )
 
 
-def states(order: int) -> tuple[State, ...]:
+def states(order: int, entries: Mapping[str, str] = ENTRIES) -> tuple[State, ...]:
     """Declare x^, Ups, theta^ and its published average."""
     return (
         *vector_states("x", "1", "state estimate", order),
-        *vector_states("upsilon", "1", "filtered regressor", 4 * order),
-        *estimate_states("raw"),
-        *(State(f"mean_{n}", unit, f"averaged {n}", initial=lambda p, n=n: p[f"{n}_start"]) for n, unit in ESTIMATES.items()),
+        *vector_states("upsilon", "1", "filtered regressor", len(entries) * order),
+        *estimate_states("raw", entries),
+        *estimate_states("mean", entries),
     )
 
 
-def read(p: Namespace, order: int) -> tuple[SX, SX, SX, SX]:
+def read(p: Namespace, order: int, entries: Mapping[str, str] = ENTRIES) -> tuple[SX, SX, SX, SX]:
     """Return (x^, Ups, theta^, averaged theta^)."""
-    raw = ca.vertcat(*(p[f"raw_{name}"] for name in ESTIMATES))
-    mean = ca.vertcat(*(p[f"mean_{name}"] for name in ESTIMATES))
-    return stack(p, "x", order), stack(p, "upsilon", order, 4), raw, mean
+    raw, mean = read_estimates(p, "raw", entries), read_estimates(p, "mean", entries)
+    return stack(p, "x", order), stack(p, "upsilon", order, len(entries)), raw, mean
+
+
+def read_estimates(p: Namespace, prefix: str, entries: Mapping[str, str] = ENTRIES) -> SX:
+    """Return the estimates as a vector."""
+    return SX(ca.vertcat(*(p[f"{prefix}_{name}"] for name in entries)))
+
+
+def write_estimates(prefix: str, theta: SX) -> dict[str, SX]:
+    """Return a vector of estimates as states."""
+    return {f"{prefix}_{name}": value for name, value in zip(ENTRIES, ca.vertsplit(theta), strict=False)}
 
 
 def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
@@ -125,14 +148,14 @@ def write(x: SX, ups: SX, theta: SX, mean: SX, weight: SX) -> dict[str, SX]:
     return {
         **unstack("x", x),
         **unstack("upsilon", ups),
-        **{f"raw_{name}": theta[i] for i, name in enumerate(ESTIMATES)},
-        **{f"mean_{name}": average[i] for i, name in enumerate(ESTIMATES)},
+        **write_estimates("raw", theta),
+        **write_estimates("mean", average),
     }
 
 
-def averaged(p: Namespace) -> dict[str, SX]:
-    """Return the published averages by name."""
-    return {name: p[f"mean_{name}"] for name in ESTIMATES}
+def estimates(p: Namespace, prefix: str) -> dict[str, SX]:
+    """Return what is published of the estimates: the parameters and the load torque over the inertia."""
+    return {name: p[f"{prefix}_{name}"] for name in ESTIMATES} | {"load": p[f"{prefix}_c_load"] / ca.fmax(p[f"{prefix}_c"], 1)}
 
 
 def known_parameters(prefix: str) -> tuple[Parameter, ...]:
@@ -144,7 +167,7 @@ def known_parameters(prefix: str) -> tuple[Parameter, ...]:
 
 
 def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tuple[float, ...]) -> tuple[Parameter, ...]:
-    """Declare K0, lam and the starts."""
+    """Declare K0, lam, the starts and the width of the basis functions."""
     return (
         *(
             Parameter(f"{prefix}.k{i}", f"K0[{i}]", "1", k, 0.0, 1e6, f"filter gain {i}", CITATION)
@@ -156,24 +179,27 @@ def gain_parameters(prefix: str, k0: tuple[float, ...], lam: float, starts: tupl
 
 
 def start_parameters(prefix: str, starts: tuple[float, ...], source: str = CITATION) -> tuple[Parameter, ...]:
-    """Declare the starts of the estimates."""
-    return tuple(
-        Parameter(f"{prefix}.{name}_start", name, unit, start, -1e9, 1e9, f"start of the estimate of {name}", source)
-        for (name, unit), start in zip(ESTIMATES.items(), starts, strict=True)
+    """Declare the starts of the estimates, and the width of the basis functions that they are the weights of."""
+    return (
+        *(
+            Parameter(f"{prefix}.{name}_start", name, unit, start, -1e9, 1e9, f"start of the estimate of {name}", source)
+            for (name, unit), start in zip(ESTIMATES.items(), starts, strict=True)
+        ),
+        width_parameter(prefix),
     )
 
 
 def scale_parameters(prefix: str, source: str = "zhang2002") -> tuple[Parameter, ...]:
-    """Declare the sizes expected of the parameters: round numbers, not taken from a plant."""
+    """Declare the sizes expected of the parameters."""
     return tuple(
         Parameter(f"{prefix}.{n}_scale", n, unit, s, 0.0, 1e9, f"size expected of {n}", source)
-        for (n, unit), s in zip(ESTIMATES.items(), (1000.0, 1000.0, 1000.0, 100.0), strict=True)
+        for (n, unit), s in zip(ENTRIES.items(), ENTRY_SCALES, strict=True)
     )
 
 
 def scales(p: Namespace) -> SX:
     """Return the sizes expected of the parameters."""
-    return SX(ca.vertcat(*(p[f"{name}_scale"] for name in ESTIMATES)))
+    return SX(ca.vertcat(*(p[f"{name}_scale"] for name in ENTRIES)))
 
 
 def matrix_parameters(prefix: str, gain: float = 1e6, averaging: float = 10.0) -> tuple[Parameter, ...]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from bristle.model.basis import BASIS_COUNT, gaussian, gaussian_end
+from bristle.model.basis import BASIS_COUNT, gaussian, gaussian_end, width_parameter
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import NEGLIGIBLE, Friction, FrictionLaw
 
@@ -27,13 +27,14 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
 
         Source: dixit2008 eq. (15) and (17); tau extends remark 5.
         """
-        k = p.sigma0 + sum(p[f"sigma{i}"] * phi for i, phi in enumerate(basis(v, count), start=1))
+        scaled = v / p.width if family == "gaussian" else v
+        k = p.sigma0 + sum(p[f"sigma{i}"] * phi for i, phi in enumerate(basis(scaled, count), start=1))
         dw = k * v - p.c * ca.fabs(v) * p.w
         true = {f"sigma{i}": p[f"sigma{i}"] for i in range(count + 1)} | {"c": p.c, "tau": p.tau}
         if family == "gaussian":  # the functions vanish at high speed, so that Coulomb friction is sigma0/c
-            true |= {"Fc": p.sigma0 / p.c, "width": SX(1)}
+            true |= {"Fc": p.sigma0 / p.c, "width": p.width}
             last = ca.fmax(ca.fabs(p[f"sigma{count}"]), 1e-12 * p.sigma0)
-            true["vc"] = gaussian_end(NEGLIGIBLE * p.sigma0 / last, count)
+            true["vc"] = p.width * gaussian_end(NEGLIGIBLE * p.sigma0 / last, count)
         else:  # sigma_i of another basis are other quantities than an observer's estimates
             true = {"c": p.c, "tau": p.tau, "sigma0": p.sigma0}
         return Friction(force=p.J * (p.w + p.tau * dw), rates={"w": dw}, true=true)
@@ -55,6 +56,7 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
             *sigma,
             Parameter(f"{name}.c", "c", "1/rad", 150.0, 1e-6, 1e9, "inverse presliding distance", "dixit2008 eq. (17)"),
             Parameter(f"{name}.tau", "tau", "s", 0.0, 0.0, 10.0, "bristle damping over stiffness", "dixit2008 eq. (11)"),
+            *([width_parameter(name)] if family == "gaussian" else []),
         ),
         states=(State("w", "rad/s2", "friction acceleration without the viscous part", scale=lambda p: p.sigma0 / p.c),),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from bristle.model.basis import BASIS_COUNT, gaussian
+from bristle.model.basis import BASIS_COUNT, gaussian, width_parameter
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.law import Friction, FrictionLaw
 
@@ -25,13 +25,13 @@ def equations(p: Namespace, v: SX) -> Friction:
     sum w_i is linear in all sigma_ij, since w_i is.
     Source: dixit2008 eq. (17), an element; albender2005, what they approximate.
     """
-    basis = [SX(1), *gaussian(v)]
+    basis = [SX(1), *gaussian(v / p.width)]
     rates = {
         f"w{i}": sum(p[f"sigma{i}_{j}"] * phi for j, phi in enumerate(basis)) * v - p[f"c{i}"] * ca.fabs(v) * p[f"w{i}"]
         for i in PLACES
     }
     level = sum(p[f"sigma{i}_0"] / p[f"c{i}"] for i in PLACES)
-    return Friction(force=p.J * sum(p[f"w{i}"] for i in PLACES), rates=rates, true={"Fc": level})
+    return Friction(force=p.J * sum(p[f"w{i}"] for i in PLACES), rates=rates, true={"Fc": level, "width": p.width})
 
 
 def _parameters() -> tuple[Parameter, ...]:
@@ -45,7 +45,7 @@ def _parameters() -> tuple[Parameter, ...]:
             found.append(
                 Parameter(name, f"sigma{i}{j}", "1/s2", share * c * ELEMENT_LEVELS[j], low, 1e9, f"{what}, element {i}", CITATION)
             )
-    return tuple(found)
+    return (*found, width_parameter("modified_parallel"))
 
 
 LAW = FrictionLaw(

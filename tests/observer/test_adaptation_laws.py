@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
 from bristle.harness.loop import Bus, Instance, simulate
+from bristle.model.basis import gaussian
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.variables import State
@@ -276,27 +277,27 @@ def test_mixing_gives_the_determinant_and_the_adjugate():
 
 
 def test_drem_follows_the_solution_of_the_extended_equation():
-    names = [*(f"drem.phi{i}" for i in range(10)), *(f"drem.y{i}" for i in range(4))]
+    names = [*(f"drem.phi{i}" for i in range(15)), *(f"drem.y{i}" for i in range(5))]
     data = record("S")
     inputs = {"u": data["u"][:20000], "y_v": data["y_v"][:20000]}
     instance = Native(observer_program("drem"), known("drem") | {"drem.gain": 1e6, "drem.kappa": 1e-12})
     out, _ = instance.run(STEP, inputs, [*names, *(f"{name}_hat" for name in STEP2)])
-    lower, y, estimates = out[-1, :10], out[-1, 10:14], out[-1, 14:]
-    phi = np.zeros((4, 4))
-    phi[np.tril_indices(4)] = lower
+    lower, y, estimates = out[-1, :15], out[-1, 15:20], out[-1, 20:]
+    phi = np.zeros((5, 5))
+    phi[np.tril_indices(5)] = lower
     phi = phi + np.tril(phi, -1).T
-    np.testing.assert_allclose(estimates, np.linalg.solve(phi, y), rtol=1e-6)
+    np.testing.assert_allclose(estimates, np.linalg.solve(phi, y)[:4], rtol=1e-6)
 
 
 def test_the_regression_of_drem_is_exact_to_second_order_in_the_period():
-    theta = SX(ca.DM([TRUE[name] for name in STEP2]))
+    theta = SX(ca.DM([*(TRUE[name] for name in STEP2), 0.0]))
 
     def residual(context, s):
         p = context.p
-        z, h, filters = drem.regression(p, drem.means(s, SX(TRUE["alpha2"]), SX(TRUE["b"])), s.period)
+        z, h, filters = drem.regression(p, drem.means(s, SX(TRUE["alpha2"]), SX(TRUE["b"]), gaussian), s.period)
         return Update(filters | {"z": z, "residual": z - ca.dot(h, theta)}, {"b": p.residual}, {"v": p.z})
 
-    states = (*drem.STATES[:10], State("z", "1", "z"), State("residual", "1", "z - h theta"))
+    states = (*drem.FILTER_STATES[:12], State("z", "1", "z"), State("residual", "1", "z - h theta"))
     program = alone("residual", "y_v", states, residual, drem.parameters("residual", 20.0)[:1])
     fine = 2.5e-4
     u = np.repeat(np.random.default_rng(4).standard_normal(1000).cumsum() * 0.3, 8)  # held for 2 ms

@@ -27,7 +27,11 @@ STIFF = {"sigma0": 5000.0, "a0": 0.0006, "a1": 0.0002, "v0": math.radians(50.0),
 LUGRE = {"lugre.sigma0": 5.0, "lugre.Fc": 0.003, "lugre.Fs": 0.004, "lugre.vs": STIFF["v0"]}
 PLANTS = {"S": ("modified", {}), "L0": ("lugre", {}), "L1": ("lugre", {"lugre.sigma1": 0.02}), "stiff": ("lugre", LUGRE)}
 KNOWN = {"cao.alpha2": 2.0, "cao.b": 6.5}
-DIRECT = ("approach_one", "approach_one_smooth", "cao", "swapped", "swapped_position")
+FOUR = {name: SET_S[name] for name in ("sigma0", "sigma1", "sigma2", "c")}
+DIRECT = (
+    "approach_one", "approach_one_known", "approach_one_smooth", "approach_one_smooth_known", "cao", "swapped", "swapped_known",
+    "swapped_position", "swapped_position_known",
+)  # fmt: skip
 
 
 @lru_cache(maxsize=8)
@@ -132,6 +136,20 @@ def test_a_shift_of_the_input_by_one_sample_is_seen(method):
     wrong, _ = errors(method, earlier(data), SET_S)
     assert np.max(np.abs(wrong[-1])) > 50 * np.max(np.abs(right[-1]))
     assert np.max(np.abs(wrong[-1])) > 20
+
+
+def given(method: str) -> dict[str, float]:
+    """Give alpha2 and b to a method that takes them as known."""
+    return {f"{method}.{name}": SET_S[name] for name in ("alpha2", "b")}
+
+
+@pytest.mark.parametrize(("method", "order", "limit"), [("swapped_known", 1, 0.8), ("swapped_position_known", 2, 2.0)])
+def test_with_alpha2_and_b_known_four_entries_are_left_and_are_found(method, order, limit):
+    data = from_encoder(closed_loop("S", order))
+    error, _ = errors(method, data, FOUR, given(method))
+    assert np.max(np.abs(error[-1])) < limit
+    off, _ = errors(method, data, FOUR, given(method) | {f"{method}.b": 1.01 * SET_S["b"]})
+    assert np.max(np.abs(off[-1])) > 5 * np.max(np.abs(error[-1]))
 
 
 def filtered_rows(data, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
@@ -266,6 +284,17 @@ def test_approach_one_fails_where_the_input_is_held(order):
 
 def test_approach_one_fails_already_at_the_knots_of_a_piecewise_linear_input():
     assert np.max(late_error("approach_one", ramps())) > 50
+
+
+def test_approach_one_fails_on_a_held_input_with_alpha2_and_b_known_too():
+    def late(method, data):
+        error, _ = errors(method, data, FOUR, given(method))
+        return np.max(np.median(np.abs(error[-5000:]), axis=0))
+
+    assert late("approach_one_known", closed_loop("S", 1)) > 50
+    assert late("approach_one_known", sines()) < 15
+    assert late("approach_one_smooth_known", closed_loop("S", 1)) > 10
+    assert late("approach_one_smooth_known", ramps()) < 3
 
 
 def test_a_piecewise_linear_input_is_differentiated_exactly():

@@ -130,6 +130,37 @@ def test_printed_gains_change_the_estimates_but_do_not_converge():
     assert abs(estimates[-1, 1]) < 0.1 * SET_S["sigma0"]
 
 
+def printed(also, **given):
+    """Return outputs and states of the printed scheme over 30 s."""
+    parameters = {f"two_step_printed.{name}": value for name, value in given.items()} | {"two_step_printed.step2_start": 5.0}
+    return Native(observer_program("two_step_printed"), parameters).run(STEP, record(30.0), list(also))[0][1:]
+
+
+def test_what_is_repaired_of_the_printed_scheme_can_be_had_as_printed():
+    names = ("sigma1_hat", "sigma2_hat", "alpha2_hat")
+    repaired, odd = printed(names), printed(names, even=0.0)
+    assert np.ptp(odd[:, 1]) > 0.0
+    assert abs(odd[-1, 1] / repaired[-1, 1] - 1) > 0.2  # the second function, at negative velocities
+    np.testing.assert_array_equal(odd[:, 2], repaired[:, 2])
+    explicit = printed((*names, "v_hat"), implicit=0.0)
+    assert np.all(np.isfinite(explicit))
+    assert np.abs(explicit[-1, :2]).min() > 1e9  # it diverges, up to the bound
+
+
+def test_at_gate_entry_the_printed_scheme_starts_from_the_gate():
+    v = np.rad2deg(record(30.0)["y_v"])
+    entries = 1 + np.flatnonzero((np.abs(v[1:-1]) > 50) & (np.abs(v[:-2]) <= 50) & (np.abs(v[2:]) > 50))
+    states = ["two_step_printed.step1_v", *(f"two_step_printed.step1_{name}" for name in STEP1)]
+    for measured in (1.0, 0.0):
+        rows = printed(states, measured_entry=measured)
+        for k in entries[[0, 5, -1]]:  # the step from k to k + 1, with theta^ of step k
+            alpha2, b, friction = rows[k, 1:]
+            u, sign = np.rad2deg(record(30.0)["u"][k]), np.sign(v[k])
+            begun = v[k] if measured else 50 * sign
+            predicted = begun + STEP * (b * u - alpha2 * (v[k] + v[k + 1]) / 2 - friction * sign)
+            assert rows[k + 1, 0] == pytest.approx(v[k + 1] - np.exp(-0.1) * (v[k + 1] - predicted), rel=1e-4)
+
+
 def test_convergence_measure_falls_as_the_estimates_settle():
     out, _ = Native(observer_program("bastin_gevers")).run(STEP, record(60.0), ["convergence"])
     assert out[1000:3000, 0].max() > 20 * out[-2000:, 0].max()
