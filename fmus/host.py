@@ -9,7 +9,7 @@ import math
 import re
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,7 @@ from bristle.common.errors import BristleError, suggest
 from bristle.common.units import parse_unit, quantity
 
 Value = float | int | bool | str
+Written = Callable[[str], tuple[str, float]]
 
 MAX_UNPACKED = 1 << 30  # bytes an FMU may unpack to
 MAX_RATIO, RATIO_FROM = 100, 1 << 26  # largest ratio of unpacked to packed size, checked from 64 MiB on (archive bombs)
@@ -142,10 +143,11 @@ class Fmu:
         """Return the start value of a numeric variable."""
         return float(self.variables[name].start)
 
-    def parameter(self, name: str, given: object, known: Sequence[str] = ()) -> Value:
+    def parameter(self, name: str, given: object, known: Sequence[str] = (), written: Written | None = None) -> Value:
         """Check a parameter's value as a user writes it and return it in the FMU's unit.
 
-        `known` are the names for the error message; all parameters by default.
+        `known` are the names for the error message; all parameters by default. `written` returns, for a unit of the FMU, the
+        one that a user writes, and what one of it is worth; by default the FMU's own.
 
         Raises
         ------
@@ -164,7 +166,7 @@ class Fmu:
             return given
         if kind == "String":
             return str(given)
-        value = self.physical(name, given)
+        value = self.physical(name, given, written)
         if kind in _REAL:
             return value
         if value != int(value):
@@ -177,14 +179,15 @@ class Fmu:
             return choices[given]
         raise BristleError(f"not a choice{suggest(str(given), list(choices))}; choose one of: {', '.join(choices)}")
 
-    def physical(self, name: str, given: object) -> float:
-        """Read a value with its unit and check it against the interval of variable `name`."""
+    def physical(self, name: str, given: object, written: Written | None = None) -> float:
+        """Read a value with its unit and check it against the interval of variable `name`; `written` as in `parameter`."""
+        unit, worth = (self.unit(name), 1.0) if written is None else written(self.unit(name))
         if not isinstance(given, (str, int, float)):
-            raise BristleError(f'not a quantity; write a number with a unit such as "1 {self.unit(name)}"')
-        value = quantity(given, self.unit(name))
+            raise BristleError(f'not a quantity; write a number with a unit such as "1 {unit}"')
+        value = quantity(given, unit) * worth
         low, high = self.interval(name)
         if not low <= value <= high:
-            raise BristleError(f"outside [{low:g}, {high:g}] {self.unit(name)}; choose a value in that interval")
+            raise BristleError(f"outside [{low / worth:g}, {high / worth:g}] {unit}; choose a value in that interval")
         return value
 
     def check_si(self, name: str, unit: str) -> None:

@@ -26,13 +26,16 @@ from bristle.common.drawing import (
     svg,
     thin,
 )
-from bristle.harness.metrics import SETTLING_BAND
+from bristle.harness.metrics import SETTLING_BAND, Course
+from bristle.harness.rig import Rig
 from bristle.harness.validation import Validation
 
 Array = NDArray[np.float64]
 
 SCATTER_POINTS = 5000  # points of a scatter diagram
-LOOP_SECONDS, LOOP_SPEED = 5.0, 30.0  # s at the end of the run, deg/s: friction loops near rest that are shown
+LOOP_SECONDS, LOOP_SPEED = 5.0, 0.25  # s at the end of the run, share of the rms speed: friction loops near rest that are shown
+SPREAD = 2.0  # standard deviations to either side of an estimate that its band shows
+EXCURSION = 1.5  # of the size of what is shown, by which an estimate may leave it before it is cut off
 SHOWN_SECONDS = 10.0  # s at the end of the run: signals that are shown
 PLAIN_SYMBOLS = {  # of the parameters, as plain characters: mathematical typesetting takes as long as a figure
     "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
@@ -44,17 +47,21 @@ MODEL_LABELS = {  # of the models that are compared
     "coulomb": "fitted viscous + Coulomb",
     "linear": "fitted viscous",
 }
+INPUT_LABELS = {"V": "voltage, V", "A": "current, A", "N.m": "torque, N·m", "N": "force, N"}  # by the unit of the input
+SPEED_SCALES = {"rad": (DEGREES, "deg/s"), "m": (1.0, "m/s")}  # by the unit of the position: factor and unit on the axes
 MODEL_COLOURS = {"model": BLUE, "floor": GREEN, "coulomb": ORANGE, "linear": GREY}
 
 
 @dataclass
 class Pictures:
-    """The data of the figures; angles in rad."""
+    """The data of the figures, in SI units; `measured`: they are those of a record, which nobody knows the truth of."""
 
     time: Array
     estimates: Mapping[str, Mapping[str, Any]]
-    hats: Mapping[str, Array]
+    published: Mapping[str, Course]
     true: Mapping[str, Array]
+    rig: Rig = field(default_factory=Rig)
+    measured: bool = False
     signals: Mapping[str, Array] = field(default_factory=dict)
     friction: tuple[Array, Array] | None = None  # v, F/J of the plant
     friction_hat: tuple[Array, Array] | None = None
@@ -64,6 +71,16 @@ class Pictures:
     def step(self) -> float:
         """Time between two rows."""
         return float(self.time[1] - self.time[0]) if len(self.time) > 1 else 1.0
+
+    @property
+    def speed_scale(self) -> float:
+        """Factor of a speed on the axes."""
+        return SPEED_SCALES[self.rig.position][0]
+
+    @property
+    def speed_label(self) -> str:
+        """Name and unit of a speed on the axes."""
+        return f"velocity, {SPEED_SCALES[self.rig.position][1]}"
 
 
 def draw(pictures: Pictures) -> dict[str, str]:
@@ -83,14 +100,16 @@ def draw(pictures: Pictures) -> dict[str, str]:
 
 def _unit(text: str) -> str:
     """Write a unit the way people do: 1/s2 -> s⁻², rad/s2 -> rad/s²."""
-    return {"1/s": "s⁻¹", "1/s2": "s⁻²", "1/rad": "rad⁻¹", "1": ""}.get(text, text.replace("s2", "s²").replace(".", "·"))
+    return {"1/s": "s⁻¹", "1/s2": "s⁻²", "1/rad": "rad⁻¹", "1/m": "m⁻¹", "1": ""}.get(
+        text, text.replace("s2", "s²").replace(".", "·")
+    )
 
 
 # -- estimates -------------------------------------------------------------------------------------------------------
 
 
 def _estimates(pictures: Pictures) -> Any:
-    names = [name for name in pictures.estimates if name in pictures.hats]
+    names = list(pictures.published)
     if not names:
         return None
     columns = len(names) if len(names) <= 3 else 2 if len(names) == 4 else 3 if len(names) <= 6 else 4
@@ -109,7 +128,8 @@ def _estimates(pictures: Pictures) -> Any:
 
 
 def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
-    facts, hat = pictures.estimates[name], pictures.hats[name]
+    facts, course = pictures.estimates[name], pictures.published[name]
+    hat = course.hat
     index = thin(len(hat))
     time = pictures.time[index]
     unit = _unit(facts["unit"])
@@ -121,26 +141,47 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
             time, level * (1 - SETTLING_BAND / 100), level * (1 + SETTLING_BAND / 100), color=GREY, alpha=0.22, linewidth=0
         )
         ax.plot(time, level, color=INK, linestyle=(0, (4, 3)), linewidth=1.1)
-        _limits(ax, hat, true)
-    ax.plot(time, hat[index], color=BLUE)
+    _limits(ax, course, true)
+    _course(ax, time, course, index)
     ax.set_xlim(0, pictures.time[-1] or 1.0)
     settled, error = facts.get("settling_s"), facts.get("error_percent")
     if settled and math.isfinite(settled):
         ax.axvline(settled, color=GREEN, linewidth=1.0, linestyle=":")
-    if error is not None and math.isfinite(error):
+    if not facts["valid"]:
+        set_title(ax, "not valid", loc="right", fontsize=8, color=RED)
+    elif error is not None and math.isfinite(error):
         when = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
         set_title(ax, f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= SETTLING_BAND else RED)
 
 
-def _limits(ax: Any, hat: Array, true: Array) -> None:
-    """Show the truth and where the estimate goes, but not the whole of a first excursion."""
-    finite = hat[np.isfinite(hat)]
-    size = float(np.max(np.abs(true)))
-    if not len(finite) or size == 0:
+def _course(ax: Any, time: Array, course: Course, index: NDArray[np.intp]) -> None:
+    """Draw an estimate with its band: in colour where it is valid, grey and dashed where it is not."""
+    valid, hat = course.valid[index].astype(bool), course.hat[index]
+    spread = np.zeros(len(index)) if course.sd is None else SPREAD * course.sd[index]
+    for chosen, colour, style in ((~valid, GREY, (0, (2, 2))), (valid, BLUE, "solid")):
+        shown = np.where(chosen, hat, np.nan)
+        if spread.any():
+            ax.fill_between(time, shown - spread, shown + spread, color=colour, alpha=0.25, linewidth=0)
+        ax.plot(time, shown, color=colour, linestyle=style)
+
+
+def _limits(ax: Any, course: Course, true: Array | None) -> None:
+    """Show the truth, if it is known, and where the valid estimate goes, but not the whole of a first excursion."""
+    finite = np.isfinite(course.hat)
+    counts = finite & course.valid.astype(bool)
+    if not counts.any():
+        counts = finite & (np.arange(len(finite)) >= len(finite) // 2)
+    hat = course.hat[counts if true is None else finite]
+    if not len(hat):
         return
-    low = max(min(float(np.percentile(finite, 1)), float(true.min())), float(true.min()) - 1.5 * size)
-    high = min(max(float(np.percentile(finite, 99)), float(true.max())), float(true.max()) + 1.5 * size)
-    margin = max(0.08 * (high - low), 0.08 * size)
+    spread = SPREAD * float(np.median(course.sd[counts])) if course.sd is not None and counts.any() else 0.0
+    low, high = np.percentile(hat, (1, 99)).tolist()
+    if true is None:
+        size = high - low + spread or abs(high) or 1.0
+    else:
+        size, least, most = float(np.max(np.abs(true))), float(true.min()), float(true.max())
+        low, high = max(min(low, least), least - EXCURSION * size), min(max(high, most), most + EXCURSION * size)
+    margin = max(0.08 * (high - low), 0.08 * size, min(spread, EXCURSION * size)) or 1.0
     ax.set_ylim(low - margin, high + margin)
 
 
@@ -162,17 +203,18 @@ def _signals(pictures: Pictures) -> Any:
     index = np.arange(len(pictures.time))[part]
     index = index[thin(len(index), 2000)]
     time = pictures.time[index]
-    curves = (("reference", PALE, "reference"), ("v", BLUE, "velocity"), ("v_hat", ORANGE, "observer's estimate"))
+    measured = "measured velocity" if pictures.measured else "velocity"
+    curves = (("reference", PALE, "reference"), ("v", BLUE, measured), ("v_hat", ORANGE, "observer's estimate"))
     for key, colour, label in curves:
         if key in signals and np.isfinite(signals[key][index]).any():
             style: dict[str, Any] = {"linestyle": (0, (3, 2)), "linewidth": 1.2} if key == "v_hat" else {}
             style |= {"linewidth": 0.9} if key == "reference" else {}
-            top.plot(time, signals[key][index] * DEGREES, color=colour, label=label, **style)
-    set_labels(top, y="velocity, deg/s")
+            top.plot(time, signals[key][index] * pictures.speed_scale, color=colour, label=label, **style)
+    set_labels(top, y=pictures.speed_label)
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.16))
     if "u" in signals:
         bottom.plot(time, signals["u"][index], color=INK, linewidth=1.0)
-    set_labels(bottom, x="time, s", y="voltage, V")
+    set_labels(bottom, x="time, s", y=INPUT_LABELS[pictures.rig.input])
     bottom.set_xlim(time[0], time[-1])
     return figure
 
@@ -185,25 +227,26 @@ def _friction(pictures: Pictures) -> Any:
         return None
     figure = new_figure(11.0, 3.9)
     wide, near = figure.subplots(1, 2, width_ratios=[1.25, 1])
+    slow = LOOP_SPEED * pictures.speed_scale * float(np.sqrt(np.mean(pictures.signals["v"] ** 2))) or 1.0
     for cloud, colour, size, label in (
         (pictures.friction, PALE, 4.5, "plant, F/J"),
         (pictures.friction_hat, BLUE, 1.6, "observer"),
     ):
         if cloud is None:
             continue
-        v, force = cloud[0] * DEGREES, cloud[1]
+        v, force = cloud[0] * pictures.speed_scale, cloud[1]
         index = thin(len(v), SCATTER_POINTS)
         wide.plot(v[index], force[index], ".", color=colour, markersize=size, markeredgewidth=0, label=label, rasterized=True)
         last = slice(-round(LOOP_SECONDS / pictures.step), None)
         line = {"linewidth": 2.6, "color": PALE} if colour == PALE else {"linewidth": 0.9, "color": BLUE}
-        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * LOOP_SPEED, force[last], np.nan), **line)
-    set_labels(wide, y="friction over inertia, rad/s²")
+        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * slow, force[last], np.nan), **line)
+    set_labels(wide, y=f"friction over {'mass' if pictures.rig.position == 'm' else 'inertia'}, {pictures.rig.position}/s²")
     set_title(wide, "whole range")
     set_title(near, f"near rest, the last {LOOP_SECONDS:g} s: presliding loops")
-    near.set_xlim(-LOOP_SPEED, LOOP_SPEED)
+    near.set_xlim(-slow, slow)
     wide.legend(loc="upper left", markerscale=3)
     for ax in (wide, near):
-        set_labels(ax, x="velocity, deg/s")
+        set_labels(ax, x=pictures.speed_label)
     return figure
 
 

@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 Port = tuple[str, str]  # (unit, variable)
 Progress = Callable[[int], None]
 
-CHUNK = 5_000  # steps between two looks at the keyboard and at the flags
+CHUNK = 5_000  # steps between two looks at the keyboard and at the flags, at most
+LOOKS = 200  # such looks in a run, at least
 HUGE = 1e9  # an estimate beyond this has diverged
 
 
@@ -59,6 +60,11 @@ class Bus:
     watch: tuple[str, ...] = ()
 
     @property
+    def chunk(self) -> int:
+        """Steps between two looks at the keyboard and at the flags."""
+        return max(1, min(CHUNK, self.steps // LOOKS))
+
+    @property
     def risky(self) -> bool:
         """Whether an FMU takes part whose library may harm its process: somebody else's, or pythonfmu's."""
         return any(instance.fmu.foreign or instance.fmu.kind == "python" for instance in self.instances)
@@ -89,12 +95,24 @@ class Trace:
     def __contains__(self, port: Port) -> bool:
         return port in self.record
 
+    def get(self, port: Port) -> Array | None:
+        """Return what was recorded of a port, None if it was not."""
+        return self[port] if port in self.record else None
+
     def flag(self, port: Port) -> Array:
         """Return a flag for each row: what was read next, at that row or after it."""
         out = np.full(len(self.values), self.flags[-1][1].get(port, np.nan))
         for row, found in reversed(self.flags):
             out[: row + 1] = found.get(port, np.nan)
         return out
+
+    def from_first_sample(self, factors: Mapping[Port, float]) -> Trace:
+        """Return it as belongs to a record: row k is what was published after sample k, each column times its factor."""
+        if not self.steps:
+            return self
+        scales = np.array([factors[port] for port in self.record])
+        flags = [(row - 1, found) for row, found in self.flags if row] or self.flags
+        return Trace(self.record, self.values[1:] * scales, self.h, flags, self.failure)
 
     @property
     def steps(self) -> int:
@@ -270,7 +288,7 @@ class Session:
         lib.loop_start(ctypes.byref(master))
         done = 0
         while done < bus.steps and master.failed_unit < 0 and not self.control[1]:
-            count = min(CHUNK, bus.steps - done)
+            count = min(bus.chunk, bus.steps - done)
             new = lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
             early = self._diverged(done + 1, done + new + 1)
             if early is not None:
@@ -312,8 +330,8 @@ class Session:
             k += 1
             self._write_row(k, places)
             self.control[0] = k
-            if k % CHUNK == 0 or k == bus.steps:
-                early = self._diverged(max(1, k - CHUNK + 1), k + 1)
+            if k % bus.chunk == 0 or k == bus.steps:
+                early = self._diverged(max(1, k - bus.chunk + 1), k + 1)
                 if early is not None:
                     return self._trace(early.time, early)
                 self._pause(k, progress, True)

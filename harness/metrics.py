@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,16 @@ CHECK_QUANTITIES = {
     "steps": ("1", "communication steps that were done"),
     "duration_s": ("s", "simulated time"),
     "step_s": ("s", "communication step"),
+    "adapted": ("1", "1 if the observer says that it has adapted since the start, else 0"),
+    "innovation": (
+        "1",
+        "mean squared innovation of late over what the observer claims it to be; none if it claims nothing",
+    ),
     "tracking_rms": ("rad/s", "rms difference between reference and velocity; only with a controller"),
     "estimates.PARAMETER.final": ("of the parameter", "estimate at the end; none while the observer calls it not valid"),
+    "estimates.PARAMETER.valid": ("1", "1 if the observer calls the final estimate valid, else 0"),
+    "estimates.PARAMETER.adapted": ("1", "1 if the estimate has been adapted since the start, else 0"),
+    "estimates.PARAMETER.sd": ("of the parameter", "standard deviation of the final estimate; none if the observer gives none"),
     "estimates.PARAMETER.true": (
         "of the parameter",
         "true value at the end; none on a record or for a law without it",
@@ -51,6 +60,8 @@ CHECK_QUANTITIES = {
     "validation.fits.BASELINE.runs": ("1", "simulations that the fit took"),
 }
 
+BASIC = ("alpha2", "b")  # estimates on which all others rest
+CONSISTENT_INNOVATION = 4.0  # mean squared innovation over what an observer claims, up to which it counts as consistent
 _NAMES = re.compile("PARAMETER|STATE|BASELINE")
 STATES = ("v", "w")  # whose true values a plant of bristle gives
 
@@ -90,16 +101,35 @@ def settling(time: Array, error: Array, band: float = SETTLING_BAND) -> float:
     return float(time[outside[-1]]) if outside[-1] < len(time) - 1 else math.nan
 
 
-def estimate(time: Array, hat: Array, valid: Array, true: Array | None, unit: str) -> dict[str, Any]:
-    """Return final value, error and settling time of one parameter.
+@dataclass(frozen=True)
+class Course:
+    """What an observer published of one parameter, a row each sample: estimate, standard deviation, and whether it counts.
+
+    A standard deviation of 0 stands for none; `adapted` is None if the observer does not say.
+    """
+
+    hat: Array
+    valid: Array
+    sd: Array | None = None
+    adapted: bool | None = None
+    unit: str = "1"
+
+
+def estimate(time: Array, course: Course, true: Array | None = None) -> dict[str, Any]:
+    """Return final value, standard deviation, validity, error and settling time of one parameter.
 
     `true` belongs to the same rows as `hat`; a sample that is not valid or not finite counts as an infinite
     error. `moved_percent` is the largest excursion from the first value: 0 of an observer that does not adapt.
     """
-    sound = valid.astype(bool) & np.isfinite(hat)
-    out: dict[str, Any] = {"unit": unit, "true": None, "final": _last(hat, sound), "valid": bool(sound[-1])}
+    hat = course.hat
+    sound = course.valid.astype(bool) & np.isfinite(hat)
     finite = hat[np.isfinite(hat)]
     moved = float(np.max(np.abs(finite - finite[0]))) if len(finite) else math.nan
+    spread = 0.0 if course.sd is None else float(course.sd[-1])
+    out: dict[str, Any] = {
+        "unit": course.unit, "true": None, "final": _last(hat, sound), "sd": spread if 0 < spread < math.inf else None,
+        "valid": bool(sound[-1]), "adapted": moved > 0 if course.adapted is None else course.adapted,
+    }  # fmt: skip
     out |= {"error_percent": None, "settling_s": None, "moved": moved, "moved_percent": None}
     if true is None or not math.isfinite(true[-1]):
         return out
@@ -143,16 +173,31 @@ def estimated_parameters(record: Sequence[Port], flags: Mapping[Port, float]) ->
     return [name for name in hats if ("observer", f"{name}_valid") in flags]
 
 
-def estimates(trace: Trace, true: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Return the errors of every parameter whose estimate was valid at some time."""
-    out = {}
-    for name in estimated_parameters(trace.record, trace.flags[-1][1]):
+def courses(trace: Trace, units: Mapping[str, str]) -> dict[str, Course]:
+    """Return what the observer published of every parameter that it estimates.
+
+    It estimates what it ever called valid, or published as another number than 0.
+    """
+    said, found = ("observer", "adapted"), {}
+    flags = trace.flags[-1][1]
+    adapted = bool(flags[said]) if said in flags else None
+    for name in estimated_parameters(trace.record, flags):
         hat, valid = trace[("observer", f"{name}_hat")], trace.flag(("observer", f"{name}_valid"))
-        if not valid.any():
-            continue
-        reference = delayed(true[name]) if name in true else None
-        out[name] = estimate(trace.time, hat, valid, reference, units.get(name, "1"))
-    return out
+        if valid.any() or np.nan_to_num(hat).any():
+            found[name] = Course(hat, valid, trace.get(("observer", f"{name}_sd")), adapted, units.get(name, "1"))
+    return found
+
+
+def estimates(time: Array, published: Mapping[str, Course], true: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
+    """Return the final values and the errors of every parameter that the observer estimates."""
+    return {name: estimate(time, course, delayed(true[name]) if name in true else None) for name, course in published.items()}
+
+
+def last_innovation(trace: Trace) -> float | None:
+    """Return the observer's own measure of its innovations at the end, None where it has none."""
+    course = trace.get(("observer", "innovation"))
+    value = 0.0 if course is None else float(course[-1])
+    return value if 0 < value < math.inf else None
 
 
 def state_errors(trace: Trace, truth: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
@@ -192,12 +237,42 @@ def check_unit(result: Mapping[str, Any], path: str) -> str:
     return str(own or "1") if unit.startswith("of the") else unit
 
 
+def validity_checks(result: Mapping[str, Any], most: float) -> list[Check]:
+    """Return what is demanded of a record where the user demands nothing: that the observer itself says that it holds.
+
+    It must have adapted, its innovations must be at most `most` times what it claims, and alpha2 and b, on which all others rest,
+    must be valid; of a method that is given those, all that it estimates.
+    """
+    checks = [Check(name="adapted", quantity="adapted", min=1)]
+    if result["innovation"] is not None:
+        checks.append(Check(name="innovation", quantity="innovation", max=most))
+    found = list(result["estimates"])
+    needed = [name for name in BASIC if name in found] or found
+    return checks + [Check(name=f"{name} valid", quantity=f"estimates.{name}.valid", min=1) for name in needed]
+
+
+def why_not(result: Mapping[str, Any]) -> str:
+    """Return in words which of the `validity_checks` fail."""
+    if "diverged" in result:
+        return "it did not reach the end of the record"
+    failed = [check for check in result["checks"] if not check["pass"]]
+    reasons = [f"{name} is not valid" for check in failed if (name := check["name"].removesuffix(" valid")) != check["name"]]
+    for check in failed:
+        if check["quantity"] == "adapted":
+            reasons.insert(0, "it has not adapted")
+        elif check["quantity"] == "innovation":
+            reasons.insert(
+                0, f"its mean squared innovation is {check['value']:.3g} times what it claims, allowed {check['limit']:g}"
+            )
+    return "; ".join(reasons)
+
+
 def judge(result: Mapping[str, Any], checks: Sequence[Check]) -> list[dict[str, Any]]:
     """Return one line for every limit of every check."""
     lines = []
     for check in checks:
         value = look_up(result, check.quantity)
-        number = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
+        number = float(value) if isinstance(value, (int, float)) else math.nan  # true counts as 1
         tests = {
             "min": number >= (check.min or 0.0),
             "max": number <= (check.max or 0.0),

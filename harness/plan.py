@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from bristle.common.errors import BristleError, suggest
 from bristle.fmus.host import Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
+from bristle.harness.rig import Rig
 from bristle.harness.samples import Samples, read_samples
 from bristle.harness.scenario import Loaded, Part, Plant, Scenario
 from bristle.harness.stimuli import Signal, check_range, events, read_stimuli, series
@@ -49,7 +50,12 @@ class Setup:
     @property
     def steps(self) -> int:
         """Number of communication steps."""
-        return self.scenario.steps if self.samples is None else len(self.samples) - 1
+        return self.scenario.steps if self.samples is None else len(self.samples)
+
+    @property
+    def rig(self) -> Rig:
+        """Units of the record, and the scales in which the observer reads it."""
+        return Rig() if self.samples is None else self.samples.rig
 
     @property
     def sensor(self) -> tuple[str, str]:
@@ -125,22 +131,35 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
     if scenario.record is not None:
         samples = read_samples(loaded)
         h = samples.h
+        if fmus["observer"].foreign:  # made for who knows which speed: it reads the record as it is
+            samples = replace(samples, rig=replace(samples.rig, angle=1.0, voltage=1.0))
     parts: dict[str, Part | None] = {"plant": scenario.plant, "controller": scenario.controller, "observer": scenario.observer}
-    values = {name: _values(loaded, name, part, fmus[name], h) for name, part in parts.items() if part is not None and name in fmus}
+    rig = Rig() if samples is None else samples.rig
+    values = {
+        name: _period(fmus[name], h) | _values(loaded, name, part, fmus[name], rig)
+        for name, part in parts.items()
+        if part is not None and name in fmus
+    }
     if samples is not None:
-        return Setup(loaded, fmus, values, samples, h)
+        setup = Setup(loaded, fmus, values, samples, h)
+        _tell_resolution(setup, samples.resolution)
+        return setup
     plant = fmus["plant"]
     stimuli = read_stimuli(loaded, plant, [name for name in BUS_PORTS["plant"]["inputs"] if plant.has(name, "input")], h)
     setup = Setup(loaded, fmus, values, samples, h, stimuli)
     _check_sensors(setup)
-    _tell_resolution(setup)
+    _tell_resolution(setup, _encoder_step(setup))
     validated = round(scenario.validation.duration / h) if scenario.validation else 0
     check_range(loaded, plant, stimuli, max(setup.steps, validated), h)
     return setup
 
 
-def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[str, Value]:
-    """Return the start values of a part: its choice of law or method, the sampling period, the user's parameters."""
+def _period(fmu: Fmu, h: float) -> dict[str, Value]:
+    return {"sample_time": h} if fmu.has("sample_time", "parameter") else {}
+
+
+def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
+    """Return the start values of a part: its choice of law or method, and the user's parameters, which are in units of the rig."""
     values: dict[str, Value] = {}
     selector = SELECTOR_PARAMETERS.get(name, "")
     choice = getattr(part, selector, None)
@@ -150,13 +169,11 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, h: float) -> dict[s
             message = f"unknown {selector}{suggest(choice, list(choices))}; choose one of: {', '.join(choices)}"
             raise loaded.error(f"{name}.{selector}", choice, message)
         values[selector] = choices[choice]
-    if fmu.has("sample_time", "parameter"):
-        values["sample_time"] = h
     others = set(fmu.choices(selector)) - {choice} if choice is not None else set()
     own = [parameter for parameter in fmu.names("parameter") if parameter != selector and parameter.partition(".")[0] not in others]
     for key, given in part.parameters.items():
         try:
-            values[key] = fmu.parameter(key, given, own)
+            values[key] = fmu.parameter(key, given, own, rig.written)
         except BristleError as error:
             raise loaded.error(f"{name}.parameters.{key}", given, str(error)) from None
         if key in WHOLE_PARAMETERS.get(name, ()) and values[key] != int(values[key]):
@@ -178,16 +195,20 @@ def _check_sensors(setup: Setup) -> None:
         raise setup.loaded.error("observer.fmu", str(setup.fmus["observer"].path), "has neither input y_theta nor y_v; add one")
 
 
-def _tell_resolution(setup: Setup) -> None:
-    """Give the observer the step of the plant's encoder, where it reads the encoder and the user has not said otherwise."""
-    observer, plant, counts = setup.fmus["observer"], setup.fmus["plant"], "encoder.counts"
+def _encoder_step(setup: Setup) -> float | None:
+    """Return the step of the plant's encoder [rad], where the observer reads the encoder."""
+    plant, counts = setup.fmus["plant"], "encoder.counts"
     if setup.scenario.sensor != "encoder" or not plant.has(counts, "parameter"):
-        return
-    step = 2 * math.pi / float(setup.values["plant"].get(counts, plant.start(counts)))
-    method = getattr(setup.scenario.observer, "method", None)
-    for name in observer.names("parameter"):
-        if name == f"{method}.resolution":
-            setup.values["observer"].setdefault(name, step)
+        return None
+    return 2 * math.pi / float(setup.values["plant"].get(counts, plant.start(counts)))
+
+
+def _tell_resolution(setup: Setup, step: float | None) -> None:
+    """Give the observer the step of the position sensor, where it asks for one and the user has not said otherwise."""
+    observer, name = setup.fmus["observer"], f"{getattr(setup.scenario.observer, 'method', None)}.resolution"
+    if step is not None and observer.has(name, "parameter"):
+        told = min(step * setup.rig.worth(observer.unit(name)), observer.interval(name)[1])
+        setup.values["observer"].setdefault(name, told)
 
 
 def _instances(setup: Setup, names: tuple[str, ...]) -> tuple[Instance, ...]:
@@ -206,13 +227,15 @@ def _plant_flags(setup: Setup) -> tuple[Port, ...]:
 def identification(setup: Setup) -> Bus:
     """Return the bus on which the observer runs: with plant and controller, or on a record."""
     observer = setup.fmus["observer"]
-    flags = tuple(("observer", n) for n in observer.names("output") if n.endswith("_valid") and not observer.is_real(n))
+    said = [name for name in observer.names("output") if name.endswith("_valid") or name == "adapted"]
+    flags = tuple(("observer", name) for name in said if not observer.is_real(name))
     if setup.samples is not None:
-        samples = setup.samples
+        samples, units = setup.samples, BUS_PORTS["observer"]["inputs"]
         columns = {"u": samples.u, "y_theta": samples.theta, "y_v": samples.v}
+        read = {name: values * setup.rig.worth(units[name]) for name, values in columns.items() if observer.has(name, "input")}
         return Bus(
             _instances(setup, ("observer",)), setup.steps, setup.h,
-            series={("observer", name): values[:-1] for name, values in columns.items() if observer.has(name, "input")},
+            series={("observer", name): values for name, values in read.items()},
             record=setup.ports("observer"), flags=flags, watch=("observer",),
         )  # fmt: skip
     driven = [] if setup.scenario.open_loop else ["controller"]

@@ -13,14 +13,20 @@ from bristle.harness.metrics import check_unit
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ",
          "a0": "a<sub>0</sub>", "a1": "a<sub>1</sub>", "v0": "v<sub>0</sub>"}  # fmt: skip
+BANDS = "Light blue: ±2 standard deviations, if the observer gives any. Grey and dashed: not valid. First excursions are cut off."
 CAPTIONS = {
     "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band. "
-                  "Dotted green: the last time the error leaves the band. Above each: final error and that time. "
-                  "First excursions are cut off."),
+                  "Dotted green: the last time the error leaves the band. Above each: final error and that time. " + BANDS),
     "signals": ("Signals", "The last ten seconds of the run."),
     "friction": ("Friction curve", "Friction over inertia against velocity, viscous part included, late in the run."),
     "validation": ("Validation on a second record", "Open loop from rest: the models get the voltage only. Left: the last ten "
                    "seconds and the errors of all models. Right: eq. (25), 100 var(error)/var(velocity)."),
+}  # fmt: skip
+RECORD_CAPTIONS = {  # of a measured record, of which the true values are not known
+    "estimates": ("Estimates over time", f"Blue: estimate. {BANDS}"),
+    "signals": ("Signals", "The last ten seconds of the record."),
+    "friction": ("Friction curve", "Friction over inertia against velocity as the observer estimates them, viscous part included, "
+                 "late in the record."),
 }  # fmt: skip
 
 
@@ -46,21 +52,34 @@ def _checks(result: Mapping[str, Any]) -> str:
 
 
 def _estimates(result: Mapping[str, Any]) -> str:
+    """Return the table of the estimates; on a record, of which no true value is known, without errors."""
+    if not result["estimates"]:
+        return "<p>The observer gave no estimate.</p>"
+    errors = () if "record" in result else ("true", "error, %", "settled after, s", "moved, %")
     rows = []
     for name, e in result["estimates"].items():
-        final = number(e["final"], 5) if e["valid"] else "not valid"
-        settled = (
-            "–"
-            if e["error_percent"] is None
-            else number(e["settling_s"], 3)
-            if e["settling_s"] is not None and math.isfinite(e["settling_s"])
-            else "never"
-        )
-        rows.append((f"<i>{GREEK.get(name, escape(name))}</i>", unit(e["unit"]), number(e["true"]), final,
-                     number(e["error_percent"], 3), settled, number(e["moved_percent"], 3)))  # fmt: skip
-    if not rows:
-        return "<p>The observer gave no valid estimate.</p>"
-    return table(("parameter", "unit", "true", "final", "error, %", "settled after, s", "moved, %"), rows, (2, 3, 4, 5, 6))
+        state = badge("good", "valid") if e["valid"] else badge("bad", "not valid" if e["adapted"] else "not adapted")
+        cells = [f"<i>{GREEK.get(name, escape(name))}</i>", unit(e["unit"]), number(e["final"], 5), number(e["sd"], 2), state]
+        rows.append(cells + ([number(e["true"]), number(e["error_percent"], 3), _settled(e), number(e["moved_percent"], 3)]
+                             if errors else []))  # fmt: skip
+    head = ("parameter", "unit", "final", "standard deviation", "", *errors)
+    return _innovation(result) + table(head, rows, (2, 3, 5, 6, 7, 8))
+
+
+def _settled(estimate: Mapping[str, Any]) -> str:
+    if estimate["error_percent"] is None:
+        return "–"
+    settled = estimate["settling_s"]
+    return number(settled, 3) if settled is not None and math.isfinite(settled) else "never"
+
+
+def _innovation(result: Mapping[str, Any]) -> str:
+    """Return what the observer says of itself as a whole."""
+    if not result["adapted"]:
+        return '<p class="alarm">The observer says that it has not adapted since the start.</p>'
+    if result["innovation"] is None:
+        return ""
+    return f"<p>Mean squared innovation of late, over what the observer claims it to be: {number(result['innovation'], 3)}.</p>"
 
 
 def _states(result: Mapping[str, Any]) -> str:
@@ -103,7 +122,7 @@ def _validation(result: Mapping[str, Any]) -> str:
 def _figures(result: Mapping[str, Any], figures: Mapping[str, str]) -> str:
     parts = []
     for name, svg in figures.items():
-        title, caption = CAPTIONS[name]
+        title, caption = (RECORD_CAPTIONS if "record" in result else CAPTIONS)[name]
         extra = _validation(result) if name == "validation" else ""
         parts.append(f"<h2>{escape(title)}</h2>{extra}{figure(title, svg, caption)}")
     return "".join(parts)
@@ -127,6 +146,16 @@ def _participants(result: Mapping[str, Any]) -> str:
     return table(("part", "file", "FMI", "kind", "sha256"), rows)
 
 
+def _provenance(result: Mapping[str, Any]) -> str:
+    """Return version, date, platform, seed and the command that repeats the run."""
+    found = result["provenance"]
+    keys = (("version", "version"), ("date", "date"), ("platform", "platform"), ("seed", "seed of the reference"))
+    rows = [f"<dt>{text}</dt><dd>{escape(str(found[key]))}</dd>" for key, text in keys if found[key] is not None]
+    rows.append(f"<dt>command</dt><dd><code>{escape(found['command'])}</code></dd>")
+    rows.append(f'<dt>sha256 of the scenario</dt><dd><code class="sub">{found["scenario_sha256"]}</code></dd>')
+    return f"<dl>{''.join(rows)}</dl>"
+
+
 def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping[str, str], source: str) -> str:
     """Return the page.
 
@@ -147,7 +176,9 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
     changed = f"<p>Overridden on the command line: <code>{escape('  '.join(overrides))}</code></p>" if overrides else ""
     title = about.get("title") or result["scenario"]
     steps = f"{result['steps']:,}".replace(",", "\u202f")
-    simulated = f"{result['duration_s']:g} s simulated in {steps} steps; the whole run took {result['wall_s']:.1f} s"
+    done = f"{result['duration_s']:g} s measured, {steps} samples" if "record" in result else \
+        f"{result['duration_s']:g} s simulated in {steps} steps"  # fmt: skip
+    simulated = f"{done}; the whole run took {result['wall_s']:.1f} s"
     body = f"""<header><p class="name">{escape(result["scenario"])}</p>
 <h1>{escape(title)} {_verdict(result["verdict"] == "pass")}</h1>
 <p class="lead">{escape(about.get("shows", ""))}</p><p class="sub">{simulated}</p></header>
@@ -159,5 +190,6 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
 <h2>About this scenario</h2><dl>{about_rows}</dl>{changed}
 <details><summary>The scenario file</summary><pre>{escape(source)}</pre></details>
 <h2>Where the time went</h2>{_times(result)}
-<h2>What took part</h2>{_participants(result)}"""
+<h2>What took part</h2>{_participants(result)}
+<h2>Where it comes from</h2>{_provenance(result)}"""
     return page(f"{result['scenario']}: {result['verdict']}", body)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import suggest
 from bristle.common.output import output_folder, plain, to_json
+from bristle.common.provenance import provenance
 from bristle.fmus.host import Fmu
 from bristle.harness import metrics, results
 from bristle.harness.fit import Data
@@ -58,7 +60,7 @@ class Run:
 
     result: dict[str, Any]
     folder: Path
-    findings: tuple[str, ...] = ()  # what was found in the record and repaired, one line each
+    findings: tuple[str, ...] = ()  # what was found in the record and repaired, and why its verdict is fail, one line each
 
     @property
     def passed(self) -> bool:
@@ -151,19 +153,19 @@ def execute(checked: Checked, progress: Progress | None = None) -> Run:
         trace = _simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps))
     with clock.stage("metrics"):
         view = _View(setup, trace)
-        result = _measure(setup, trace, view)
+        result = _measure(setup, trace, view) | {"provenance": _provenance(checked)}
     validated = None
     if setup.scenario.validation is not None and trace.failure is None:
         with clock.stage("validation: second record and fits"):
             tell("validation and fits", 0, 0)
             validated = _validate(setup, result, view, checked.lean)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
-    _judge(result, setup)
+    findings = (*(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
     with clock.stage("report"):
         tell("report", 0, 0)
         files = _files(setup, result, view, validated, clock, checked.options.full)
     folder = results.write(checked.out, setup.loaded.name, files)
-    return Run(result, folder, () if setup.samples is None else setup.samples.findings)
+    return Run(result, folder, findings)
 
 
 def _no_progress(stage: str, done: int, total: int) -> None:
@@ -184,7 +186,11 @@ class _View:
     """The signals of a run, whether simulated or recorded, and the truth where it is known."""
 
     def __init__(self, setup: Setup, trace: Trace) -> None:
-        self.trace, self.time = trace, trace.time
+        observer, rig = setup.fmus["observer"], setup.rig
+        units = {name: observer.unit(name) for unit, name in trace.record if unit == "observer"}
+        if setup.samples is not None:
+            trace = trace.from_first_sample({("observer", name): 1 / rig.worth(unit) for name, unit in units.items()})
+        self.trace, self.time, self.rig = trace, trace.time, rig
         rows = len(trace.values)
         self.signals: dict[str, Array] = {}
         if setup.samples is not None:
@@ -197,7 +203,8 @@ class _View:
             self.sensed = {key: trace["plant", port] for key, port in zip(("theta", "v"), setup.sensor, strict=True)}
         self.observed = {name: trace[unit, name] for unit, name in trace.record if unit == "observer"}
         self.true = metrics.true_values(trace, self.signals.get("load_scale")) if setup.samples is None else {}
-        self.units = {name.removesuffix("_hat"): setup.fmus["observer"].unit(name) for name in self.observed}
+        self.units = {name.removesuffix("_hat"): rig.unit(unit) for name, unit in units.items()}
+        self.published = metrics.courses(trace, self.units)
         self.friction = self._friction(setup)
 
     def _friction(self, setup: Setup) -> Array | None:
@@ -227,10 +234,12 @@ def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:
         "scenario": setup.loaded.name, "verdict": "fail", "steps": trace.steps, "wall_s": 0.0,
         "duration_s": trace.steps * trace.h, "step_s": trace.h, "overrides": setup.loaded.overrides,
         "notes": [*setup.loaded.notes, *(setup.samples.findings if setup.samples else ())],
-        "estimates": metrics.estimates(trace, view.true, view.units),
-        "states": metrics.state_errors(trace, view.states(), view.units),
+        "innovation": metrics.last_innovation(view.trace),
+        "estimates": metrics.estimates(view.time, view.published, view.true),
+        "states": metrics.state_errors(view.trace, view.states(), view.units),
         "checks": [], "fmus": fmus,
     }  # fmt: skip
+    result["adapted"] = any(estimate["adapted"] for estimate in result["estimates"].values())
     if setup.samples is not None and setup.scenario.record is not None:
         file = setup.loaded.beside(setup.scenario.record.file)
         result["record"] = {
@@ -263,10 +272,43 @@ def _validate(setup: Setup, result: Mapping[str, Any], view: _View, fmus: Mappin
     return validate(data, other, identified, fmus, demand.baselines)
 
 
-def _judge(result: dict[str, Any], setup: Setup) -> None:
-    result["checks"] = metrics.judge(result, setup.scenario.checks)
+def _provenance(checked: Checked) -> dict[str, Any]:
+    """Return where the result comes from; `command` repeats the run."""
+    setup, options = checked.setup, checked.options
+    loaded, controller = setup.loaded, setup.fmus.get("controller")
+    seed = None
+    if controller is not None and controller.has("seed", "parameter"):
+        seed = int(setup.values["controller"].get("seed", controller.start("seed")))
+    words = ["bristle", "run", str(loaded.path), "--out", str(checked.out), "--kind", options.kind, "--fmi", str(options.fmi)]
+    for override in options.overrides:
+        words += ["--set", override]
+    if options.seed is not None:
+        words += ["--seed", str(options.seed)]
+    if options.full:
+        words.append("--full")
+    sha256 = hashlib.sha256(loaded.text.encode()).hexdigest()
+    return {**provenance(), "scenario_sha256": sha256, "seed": seed, "command": shlex.join(words)}
+
+
+def _judge(result: dict[str, Any], setup: Setup) -> list[str]:
+    """Set checks and verdict; of a record without checks, return and note why the verdict is fail."""
+    checks = setup.scenario.checks
+    result["checks"] = metrics.judge(result, checks or metrics.validity_checks(result, _innovation_limit(setup)))
     passed = all(check["pass"] for check in result["checks"]) and "diverged" not in result
     result["verdict"] = "pass" if passed else "fail"
+    if checks or passed:
+        return []
+    line = f"no checks are given, so the verdict is what the observer says of itself: {metrics.why_not(result)}"
+    result["notes"].append(line)
+    return [line]
+
+
+def _innovation_limit(setup: Setup) -> float:
+    """Return up to which innovation the estimates count: the observer's own limit, if its method has one."""
+    observer, name = setup.fmus["observer"], f"{setup.scenario.observer.method}.innovation_limit"
+    if not observer.has(name, "parameter"):
+        return metrics.CONSISTENT_INNOVATION
+    return float(setup.values["observer"].get(name, observer.start(name)))
 
 
 def _files(
@@ -293,7 +335,7 @@ def _pictures(result: Mapping[str, Any], view: _View, validated: Validation | No
     from bristle.harness.figures import Pictures
 
     late = slice(int((1 - LATE_FRICTION) * len(view.time)), None)
-    pictures = Pictures(view.time, result["estimates"], {n: view.observed[f"{n}_hat"] for n in result["estimates"]}, view.true)
+    pictures = Pictures(view.time, result["estimates"], view.published, view.true, rig=view.rig, measured="record" in result)
     pictures.signals = {**view.signals, **({"v_hat": view.observed["v_hat"]} if "v_hat" in view.observed else {})}
     pictures.validation = validated
     if view.friction is not None:

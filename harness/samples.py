@@ -1,18 +1,21 @@
-"""A measured record as an observer reads it: voltage, position and velocity."""
+"""A measured record as an observer reads it: input, position and velocity, and the units that they are in."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
+from bristle.harness.rig import Rig, normalising
 from bristle.harness.scenario import Loaded
 from bristle.records import Layout, Record, read_record
 from bristle.records.layout import layout_of
+from bristle.records.resolution import noise_step
 
 STEP_TOLERANCE = 0.01  # fraction by which the scenario's step may differ from the record's sampling period
+TRIED_PERIODS = (0.5e-3, 20e-3)  # s, shortest and longest sampling period that observers are tried at
 
 
 @dataclass(frozen=True)
@@ -20,11 +23,13 @@ class Samples:
     """A record in SI units, uniformly sampled; arrays have shape (n,)."""
 
     h: float  # sampling period [s]
-    u: Array  # voltage [V]
-    theta: Array  # position [rad]
-    v: Array  # velocity [rad/s]
+    u: Array  # input, in the unit of the rig
+    theta: Array  # position [rad or m]
+    v: Array  # velocity [rad/s or m/s]
     measured: tuple[str, ...]  # which of theta and v were measured; the other one follows from it
     findings: tuple[str, ...] = ()  # what was found in the record and repaired, one line each
+    rig: Rig = field(default_factory=Rig)  # units, and the scales that an observer reads them in
+    resolution: float | None = None  # step of the position sensor [rad or m]; None: no position was measured
 
     def __len__(self) -> int:
         return len(self.u)
@@ -34,7 +39,7 @@ def read_samples(loaded: Loaded) -> Samples:
     """Read the record that a scenario names; raise `BristleError`, one line, where observers cannot read it."""
     scenario = loaded.scenario
     assert scenario.record is not None
-    layout = _layout(loaded)
+    layout = layout_of(scenario.record, loaded.path, "record.", scenario.record.velocity)
     try:
         record = read_record(layout, loaded.beside(scenario.record.file))
     except BristleError as error:
@@ -48,24 +53,31 @@ def read_samples(loaded: Loaded) -> Samples:
             longest = f"the record ends after {(len(record) - 1) * record.h:g} s"
             raise loaded.error("duration", f"{scenario.duration:g} s", f"{longest}; shorten it or leave it out")
     theta, v, measured = _motion(layout, record)
-    return Samples(record.h, record.u[:count], theta[:count], v[:count], measured, record.findings)
+    rig = normalising(layout, record.h, record.y[:count], record.u[:count])
+    findings = (*record.findings, *_untried(record))
+    return Samples(
+        record.h, record.u[:count], theta[:count], v[:count], measured, findings, rig, _position_step(layout, record)
+    )  # fmt: skip
 
 
-def _layout(loaded: Loaded) -> Layout:
-    """Return the layout of the record, which an observer must be able to read."""
-    table = loaded.scenario.record
-    assert table is not None
-    if table.input.kind != "voltage":
-        message = 'observers read a voltage; write kind = "voltage", and scale = "... V" over the unit of a command that is none'
-        raise loaded.error("record.input.kind", table.input.kind, message)
-    if layout_of(table, loaded.path, "record.").linear:
-        message = 'observers read rad; add scale, the angle that stands for one of this unit, for example "1 rad/m"'
-        raise loaded.error("record.output.unit", table.output.unit, message)
-    return layout_of(table, loaded.path, "record.", table.velocity)
+def _untried(record: Record) -> list[str]:
+    """Return a line if the record is sampled faster or slower than the observers are tried."""
+    shortest, longest = TRIED_PERIODS
+    if shortest * (1 - STEP_TOLERANCE) <= record.h <= longest * (1 + STEP_TOLERANCE):
+        return []
+    tried = f"observers are tried at {shortest:g} to {longest:g} s: read their estimates with care"
+    return [f"record {record.name}: sampled every {record.h:.6g} s; {tried}"]
+
+
+def _position_step(layout: Layout, record: Record) -> float | None:
+    """Return the step of the position sensor: as declared, else the coarser of what the readings show and of their noise."""
+    if layout.output_kind == "velocity":
+        return None
+    return layout.resolution or max(record.resolution or 0.0, noise_step(record.y))
 
 
 def _motion(layout: Layout, record: Record) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return position [rad], velocity [rad/s], and which of them were measured.
+    """Return position, velocity, and which of them were measured.
 
     A position alone gives the velocity as a backward difference, as a counter does; a velocity alone gives the position as its
     integral from 0 by the trapezoidal rule.

@@ -36,7 +36,7 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """``"pass"`` if all checks pass and the simulation reached its end, else ``"fail"``."""
+        """``"pass"`` if all checks pass and the run reached its end, else ``"fail"``."""
         return str(self.data["verdict"])
 
     @property
@@ -46,7 +46,8 @@ class Result:
 
     @property
     def estimates(self) -> Mapping[str, Mapping[str, Any]]:
-        """Of each estimated parameter: unit, true value (None if there is none), final value, error [%], settling time [s]."""
+        """Of each estimated parameter: unit, true value (None if there is none), final value and its standard deviation (None if
+        the observer gives none), whether it is valid and adapted, error [%], settling time [s]."""
         found: Mapping[str, Mapping[str, Any]] = self.data["estimates"]
         return found
 
@@ -84,8 +85,10 @@ class Result:
     def __str__(self) -> str:
         lines = [f"{self.scenario}: {self.verdict}"]
         for name, e in self.estimates.items():
-            true, error = _number(e["true"]), _number(e["error_percent"])
-            lines.append(f"  {name:<10} {_number(e['final'])} {e['unit']:<12} true {true}   error {error} %")
+            state = "valid    " if e["valid"] else "not valid"
+            line = f"  {name:<10} {_number(e['final'])} {e['unit']:<12} sd {_number(e['sd'])}   {state}"
+            compared = "" if e["true"] is None else f"   true {_number(e['true'])}   error {_number(e['error_percent'])} %"
+            lines.append(line + compared)
         lines += [
             f"  {'ok    ' if check['pass'] else 'FAILED'} {check['name']}: {_number(check['value'])}" for check in self.checks
         ]

@@ -30,7 +30,7 @@ class InputTable(Column):
     """The column of the input."""
 
     kind: Literal["torque", "force", "voltage", "current"]
-    """What the input is; observers read a voltage."""
+    """What the input is: `torque` and `force` fit an output that turns and one that moves, the others either."""
 
 
 class OutputTable(Column):

@@ -1,10 +1,15 @@
-"""The resolution of a column: the step of a sensor, or of the digits of a written time."""
+"""The resolution of a column: the step of a sensor, or of the digits of a written time; and a step that stands for noise."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from scipy import stats
 
 from bristle.common.table import Array
+
+NOISE_ORDER = 5  # of the differences of neighbours, in which noise is left and the motion of a servo is not
 
 
 def common_step(values: Array) -> float | None:
@@ -37,3 +42,17 @@ def _refined(step: float, gaps: Array, distinct: Array) -> float | None:
         if range_steps * step > distinct[-1]:
             return step
         range_steps *= 4.0
+
+
+def noise_step(values: Array) -> float:
+    """Return the step of a sensor whose rounding would be as noisy as the white noise of these values.
+
+    The variance of differences of order k of white noise is binomial(2k, k) times that of the noise; that of rounding is a twelfth
+    of the square of its step. The median deviation takes no notice of the few samples in which a motion has corners.
+    Source: hall1990 (noise from differences); widrow2008 chapter 1 (rounding).
+    """
+    differences = np.diff(values, NOISE_ORDER)
+    if not len(differences):
+        return 0.0
+    noise = float(stats.median_abs_deviation(differences, scale="normal")) / math.sqrt(math.comb(2 * NOISE_ORDER, NOISE_ORDER))
+    return math.sqrt(12.0) * noise

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from bristle.common.output import plain
 from bristle.harness import metrics
+from bristle.harness.loop import Trace
+from bristle.harness.metrics import Course
 from bristle.harness.scenario import Check
 
 TIME = np.arange(1001) * 0.01
@@ -30,7 +32,7 @@ def test_mse_of_a_sine_with_a_known_error() -> None:
 def test_settling_of_an_exponential() -> None:
     # an error of exp(-t) leaves a band of 5 % at ln 20
     hat = TRUE * (1 + np.exp(-TIME))
-    found = metrics.estimate(TIME, hat, SOUND, TRUE, "1/s")
+    found = metrics.estimate(TIME, Course(hat, SOUND), TRUE)
     assert found["settling_s"] == pytest.approx(math.log(20), abs=0.01)
     assert found["error_percent"] == pytest.approx(100 * math.exp(-10), rel=1e-6)
     assert found["moved_percent"] == pytest.approx(100 * (1 - math.exp(-10)), rel=1e-9)
@@ -43,15 +45,15 @@ def test_error_has_a_sign_even_for_a_negative_truth() -> None:
 
 def test_settling_time_is_nan_if_the_error_does_not_settle() -> None:
     late = np.where(TIME >= 9.995, 9.9, 4.0)  # only the last sample is out
-    assert math.isnan(metrics.estimate(TIME, late, SOUND, TRUE, "1")["settling_s"])
-    assert metrics.estimate(TIME, TRUE.copy(), SOUND, TRUE, "1")["settling_s"] == 0.0
+    assert math.isnan(metrics.estimate(TIME, Course(late, SOUND), TRUE)["settling_s"])
+    assert metrics.estimate(TIME, Course(TRUE.copy(), SOUND), TRUE)["settling_s"] == 0.0
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_bad_end_gives_no_error_and_no_settling(bad: float) -> None:
     hat = TRUE.copy()
     hat[-1] = bad
-    found = metrics.estimate(TIME, hat, SOUND, TRUE, "1")
+    found = metrics.estimate(TIME, Course(hat, SOUND), TRUE)
     assert math.isnan(found["error_percent"])
     assert math.isnan(found["settling_s"])
     assert not found["valid"]
@@ -67,18 +69,18 @@ def test_an_error_that_is_not_a_number_is_outside_every_band() -> None:
 
 def test_not_valid_counts_as_an_error_without_bound() -> None:
     valid = (TIME < 5.0).astype(float)
-    found = metrics.estimate(TIME, TRUE.copy(), valid, TRUE, "1")
+    found = metrics.estimate(TIME, Course(TRUE.copy(), valid), TRUE)
     assert (found["valid"], math.isnan(found["final"]), math.isnan(found["error_percent"])) == (False, True, True)
-    early = metrics.estimate(TIME, TRUE.copy(), 1 - valid, TRUE, "1")
+    early = metrics.estimate(TIME, Course(TRUE.copy(), 1 - valid), TRUE)
     assert early["settling_s"] == pytest.approx(4.99)
 
 
 def test_an_observer_that_is_switched_off_has_not_moved() -> None:
-    assert metrics.estimate(TIME, TRUE.copy(), SOUND, TRUE, "1")["moved_percent"] == 0.0
+    assert metrics.estimate(TIME, Course(TRUE.copy(), SOUND), TRUE)["moved_percent"] == 0.0
 
 
 def test_without_truth_nothing_is_scored() -> None:
-    found = metrics.estimate(TIME, TRUE.copy(), SOUND, None, "1")
+    found = metrics.estimate(TIME, Course(TRUE.copy(), SOUND))
     assert (found["true"], found["error_percent"], found["settling_s"]) == (None, None, None)
     assert found["final"] == 4.0
 
@@ -86,11 +88,58 @@ def test_without_truth_nothing_is_scored() -> None:
 RESULT = {"a": {"b": 1.0, "nan": math.nan, "inf": math.inf, "none": None, "flag": True, "text": "1"}}
 
 
-@pytest.mark.parametrize("path", ["a.nan", "a.inf", "a.none", "a.flag", "a.text", "a.missing", "missing.b", "a.b.c", "a"])
+@pytest.mark.parametrize("path", ["a.nan", "a.inf", "a.none", "a.text", "a.missing", "missing.b", "a.b.c", "a"])
 def test_nothing_but_a_finite_number_passes(path: str) -> None:
     for limits in ({"min": -1e300}, {"max": 1e300}, {"max_abs": 1e300}):
         [line] = metrics.judge(RESULT, [Check(quantity=path, **limits)])
         assert line["pass"] is False
+
+
+def test_true_and_false_are_checked_as_1_and_0() -> None:
+    found = {"good": True, "bad": False}
+    lines = metrics.judge(found, [Check(quantity="good", min=1), Check(quantity="bad", min=1), Check(quantity="bad", max=0)])
+    assert [line["pass"] for line in lines] == [True, False, True]
+
+
+@pytest.mark.parametrize(("last", "sd"), [(0.25, 0.25), (0.0, None), (math.inf, None)])
+def test_a_standard_deviation_of_0_is_none(last: float, sd: float | None) -> None:
+    assert metrics.estimate(TIME, Course(TRUE.copy(), SOUND, np.full(1001, last)))["sd"] == sd
+
+
+def test_who_does_not_say_whether_he_adapted_is_judged_by_whether_the_estimate_moved() -> None:
+    moved = TRUE.copy()
+    moved[500:] += 1.0
+    assert [metrics.estimate(TIME, Course(hat, SOUND))["adapted"] for hat in (TRUE.copy(), moved)] == [False, True]
+    assert [metrics.estimate(TIME, Course(moved, SOUND, adapted=said))["adapted"] for said in (False, True)] == [False, True]
+
+
+def test_an_estimate_that_is_never_valid_is_listed_and_one_that_a_method_does_not_have_is_not() -> None:
+    record = tuple(("observer", f"{name}_hat") for name in ("b", "c", "Fc"))
+    values = np.column_stack([np.zeros(5), np.arange(5.0), np.zeros(5)])
+    flags = {("observer", "b_valid"): 0.0, ("observer", "c_valid"): 0.0, ("observer", "Fc_valid"): 1.0}
+    found = metrics.courses(Trace(record, values, 1.0, [(0, flags)]), {"c": "1/rad"})
+    assert [(name, course.unit, course.valid[-1]) for name, course in found.items()] == [("c", "1/rad", 0.0), ("Fc", "1", 1.0)]
+
+
+RESULT_OF_RECORD = {"adapted": True, "innovation": 1.0, "estimates": {n: {"valid": n != "c"} for n in ("alpha2", "b", "c")}}
+
+
+@pytest.mark.parametrize(
+    ("changed", "failed"),
+    [
+        ({}, []),
+        ({"adapted": False}, ["adapted"]),
+        ({"innovation": 4.1}, ["innovation"]),
+        ({"innovation": None}, []),
+        ({"estimates": {"alpha2": {"valid": False}, "b": {"valid": True}}}, ["alpha2 valid"]),
+        ({"estimates": {"vc": {"valid": True}, "c": {"valid": False}}}, ["c valid"]),
+        ({"adapted": False, "estimates": {}}, ["adapted"]),
+    ],
+)
+def test_without_checks_a_record_is_judged_by_what_the_observer_says(changed: dict[str, object], failed: list[str]) -> None:
+    result = {**RESULT_OF_RECORD, **changed}
+    lines = metrics.judge(result, metrics.validity_checks(result, 4.0))
+    assert [line["name"] for line in lines if not line["pass"]] == failed
 
 
 def test_every_limit_is_a_line_of_its_own() -> None:

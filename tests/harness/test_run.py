@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
+import shlex
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -75,15 +78,17 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
         if isinstance(node, dict):
             for key, value in node.items():
                 yield from paths(value, f"{path}.{key}" if path else key)
-        elif isinstance(node, (int, float)) and not isinstance(node, bool) and ".parameters." not in path:
+        elif isinstance(node, (int, float)) and ".parameters." not in path:
             yield path
 
     found = {re.sub(r"^estimates\.\w+", "estimates.PARAMETER", path) for path in paths(result, "")}
     found = {re.sub(r"^states\.\w+", "states.STATE", path) for path in found}
     found = {re.sub(r"(?<=[._])(linear|coulomb|floor)(?=_mse|$|\.)", "BASELINE", path) for path in found}
-    found = {path for path in found if not path.startswith(("timing.", "wall_s"))}  # known only when the checks are done
-    assert found == set(metrics.CHECK_QUANTITIES) - {"record.samples"}
-    demanded = {path for path in paths(result, "") if not path.startswith(("timing.", "wall_s"))}
+    other = ("timing.", "wall_s", "provenance.")  # known only when the checks are done, or no result
+    found = {path for path in found if not path.startswith(other)}
+    given_by_some = {"record.samples", "innovation", "estimates.PARAMETER.sd"}
+    assert found | given_by_some == set(metrics.CHECK_QUANTITIES)
+    demanded = {path for path in paths(result, "") if not path.startswith(other)}
     assert demanded <= set(metrics.check_quantities(list(result["estimates"]), ["linear", "coulomb", "floor"]))
 
 
@@ -105,12 +110,28 @@ def test_result_json_keeps_the_contract(finished: Run) -> None:
     assert result["steps"] == 6000
     assert result["wall_s"] > 0
     assert set(result["estimates"]) == {"alpha2", "b", "Fc"}
-    assert {"unit", "true", "final", "error_percent", "settling_s"} <= set(result["estimates"]["b"])
+    assert {"unit", "true", "final", "sd", "valid", "adapted", "error_percent", "settling_s"} <= set(result["estimates"]["b"])
+    assert set(result["provenance"]) == {"version", "date", "platform", "scenario_sha256", "seed", "command"}
     assert {"mse_percent", "linear_mse_percent", "coulomb_mse_percent", "floor_mse_percent"} <= set(result["validation"])
     assert {"name", "value", "limit", "pass"} <= set(result["checks"][0])
     assert set(result["fmus"]) == {"plant", "controller", "observer"}
     assert {"file", "sha256", "fmi", "kind"} == set(result["fmus"]["plant"])
     assert sum(result["timing"].values()) == pytest.approx(result["wall_s"], rel=0.01)
+
+
+def test_provenance_repeats_the_run(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    path, overrides = scenario_file(base), ["plant.parameters.J=0.002 kg.m2", "duration=1 s"]
+    before = datetime.now(UTC).replace(microsecond=0)
+    found = run(path, tmp_path / "out", Options(seed=4, overrides=overrides, fmi=3)).result["provenance"]
+    assert before <= datetime.fromisoformat(found["date"]) <= datetime.now(UTC)
+    assert found["scenario_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert found["seed"] == 4
+    words = shlex.split(found["command"])
+    assert words[:3] == ["bristle", "run", str(path)]
+    assert [words[i + 1] for i, word in enumerate(words) if word == "--set"] == overrides
+    assert " ".join(words[3:7]) == f"--out {tmp_path / 'out'} --kind native"
+    assert words[-2:] == ["--seed", "4"]
+    assert run(path, tmp_path / "out").result["provenance"]["seed"] == 1
 
 
 def test_the_truth_grows_with_the_load(finished: Run) -> None:

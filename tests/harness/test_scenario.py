@@ -91,12 +91,20 @@ def test_a_mistake_is_one_line_with_file_key_and_remedy(
         ("", "observer, plant or record, checks"),
         ('[plant]\nlaw = "modified"\n', "observer, checks"),
         ('[observer]\nmethod = "rls"\n[[checks]]\nquantity = "steps"\nmin = 1\n', "plant or record"),
-        ('[record]\nfile = "r.csv"\n', "observer, record.time, record.input, record.output, checks"),
+        ('[record]\nfile = "r.csv"\n', "observer, record.time, record.input, record.output"),
     ],
 )
 def test_all_missing_keys_are_told_at_once(text: str, keys: str, scenario_file: Maker, message: Message) -> None:
     path = scenario_file(text)
     assert message(lambda: load(path)) == f"{path}: {keys}: missing; add {'them' if ',' in keys else 'it'}"
+
+
+def test_only_a_record_needs_no_checks(base: str, scenario_file: Maker, message: Message) -> None:
+    record = '[record]\nfile = "r.csv"\ntime = {column = "t", unit = "s"}\ninput = {column = "u", kind = "force", unit = "N"}\n' \
+        'output = {column = "v", kind = "velocity", unit = "m/s"}\n[observer]\nmethod = "rls"\n'  # fmt: skip
+    assert load(scenario_file(record)).scenario.checks == []
+    path = scenario_file(base.partition("[[checks]]")[0].replace("duration", "checks = []\nduration", 1))
+    assert message(lambda: load(path)) == f"{path}: checks: missing; add it"
 
 
 @pytest.mark.parametrize(
