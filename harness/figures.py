@@ -116,7 +116,7 @@ def _estimates(pictures: Pictures) -> Any:
     rows = -(-len(names) // columns)
     figure = new_figure(11.0, 2.15 * rows + 0.35)
     axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False)).ravel()
-    figure.subplots_adjust(wspace=0.24, hspace=0.42)
+    figure.subplots_adjust(wspace=0.34 if columns > 3 else 0.24, hspace=0.42)
     for ax, name in zip(axes, names, strict=False):
         _estimate(ax, pictures, name)
     for ax in axes[len(names) :]:
@@ -166,11 +166,9 @@ def _course(ax: Any, time: Array, course: Course, index: NDArray[np.intp]) -> No
 
 
 def _limits(ax: Any, course: Course, true: Array | None) -> None:
-    """Show the truth, if it is known, and where the valid estimate goes, but not the whole of a first excursion."""
-    finite = np.isfinite(course.hat)
-    counts = finite & course.valid.astype(bool)
-    if not counts.any():
-        counts = finite & (np.arange(len(finite)) >= len(finite) // 2)
+    """Show the truth, if it is known, and where the estimate goes that counts, but not the whole of a first excursion."""
+    finite, valid = np.isfinite(course.hat), course.valid.astype(bool)
+    counts = finite & (valid if valid[-1] else np.arange(len(finite)) >= len(finite) // 2)
     hat = course.hat[counts if true is None else finite]
     if not len(hat):
         return
@@ -179,9 +177,9 @@ def _limits(ax: Any, course: Course, true: Array | None) -> None:
     if true is None:
         size = high - low + spread or abs(high) or 1.0
     else:
-        size, least, most = float(np.max(np.abs(true))), float(true.min()), float(true.max())
+        size, least, most = float(np.max(np.abs(true))) or spread or high - low or 1.0, float(true.min()), float(true.max())
         low, high = max(min(low, least), least - EXCURSION * size), min(max(high, most), most + EXCURSION * size)
-    margin = max(0.08 * (high - low), 0.08 * size, min(spread, EXCURSION * size)) or 1.0
+    margin = max(0.08 * (high - low), 0.08 * size, min(spread, EXCURSION * size))
     ax.set_ylim(low - margin, high + margin)
 
 

@@ -92,9 +92,6 @@ class Trace:
     def __getitem__(self, port: Port) -> Array:
         return self.values[:, self.record.index(port)]
 
-    def __contains__(self, port: Port) -> bool:
-        return port in self.record
-
     def get(self, port: Port) -> Array | None:
         """Return what was recorded of a port, None if it was not."""
         return self[port] if port in self.record else None

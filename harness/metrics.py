@@ -200,12 +200,20 @@ def last_innovation(trace: Trace) -> float | None:
     return value if 0 < value < math.inf else None
 
 
+def estimates_state(trace: Trace, name: str) -> bool:
+    """Say whether the observer estimates a state: it has NAME_hat, and NAME_hat_valid, if it has that, is true at the end."""
+    course = trace.get(("observer", f"{name}_hat"))
+    return (
+        course is not None and bool(np.isfinite(course[-1])) and trace.flags[-1][1].get(("observer", f"{name}_hat_valid"), 1.0) > 0
+    )
+
+
 def state_errors(trace: Trace, truth: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     """Return the rms error of the observer's states against the true ones, over the run and over its last tenth."""
     out = {}
     for name, values in truth.items():
         port = ("observer", f"{name}_hat")
-        if port not in trace or not np.isfinite(trace[port][-1]):
+        if not estimates_state(trace, name):
             continue
         error = (trace[port] - delayed(values))[1:]
         late = error[-max(1, int(LATE_ERROR_SHARE * len(error))) :]

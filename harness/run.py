@@ -202,6 +202,7 @@ class _View:
             self.signals |= {each.variable: each.values(rows, setup.h) for each in setup.stimuli}
             self.sensed = {key: trace["plant", port] for key, port in zip(("theta", "v"), setup.sensor, strict=True)}
         self.observed = {name: trace[unit, name] for unit, name in trace.record if unit == "observer"}
+        self.estimated = {name: self.observed[f"{name}_hat"] for name in ("v", "F") if metrics.estimates_state(trace, name)}
         self.true = metrics.true_values(trace, self.signals.get("load_scale")) if setup.samples is None else {}
         self.units = {name.removesuffix("_hat"): rig.unit(unit) for name, unit in units.items()}
         self.published = metrics.courses(trace, self.units)
@@ -298,7 +299,7 @@ def _judge(result: dict[str, Any], setup: Setup) -> list[str]:
     result["verdict"] = "pass" if passed else "fail"
     if checks or passed:
         return []
-    line = f"no checks are given, so the verdict is what the observer says of itself: {metrics.why_not(result)}"
+    line = f"No checks are given, so the verdict is what the observer says of itself: {metrics.why_not(result)}"
     result["notes"].append(line)
     return [line]
 
@@ -336,12 +337,12 @@ def _pictures(result: Mapping[str, Any], view: _View, validated: Validation | No
 
     late = slice(int((1 - LATE_FRICTION) * len(view.time)), None)
     pictures = Pictures(view.time, result["estimates"], view.published, view.true, rig=view.rig, measured="record" in result)
-    pictures.signals = {**view.signals, **({"v_hat": view.observed["v_hat"]} if "v_hat" in view.observed else {})}
+    pictures.signals = {**view.signals, **({"v_hat": view.estimated["v"]} if "v" in view.estimated else {})}
     pictures.validation = validated
     if view.friction is not None:
         pictures.friction = (view.signals["v"][late], view.friction[late])
-    if {"v_hat", "F_hat"} <= set(view.observed):
-        v, force = view.observed["v_hat"][late], view.observed["F_hat"][late]
+    if {"v", "F"} <= set(view.estimated):
+        v, force = view.estimated["v"][late], view.estimated["F"][late]
         if np.isfinite(force).any() and np.isfinite(v).any():
             pictures.friction_hat = (v, force)
     return pictures

@@ -121,6 +121,15 @@ def test_an_estimate_that_is_never_valid_is_listed_and_one_that_a_method_does_no
     assert [(name, course.unit, course.valid[-1]) for name, course in found.items()] == [("c", "1/rad", 0.0), ("Fc", "1", 1.0)]
 
 
+def test_a_state_that_the_observer_does_not_estimate_has_no_error() -> None:
+    port, said = ("observer", "w_hat"), ("observer", "w_hat_valid")
+    for known, expected in ((1.0, {"w"}), (0.0, set())):
+        trace = Trace((port,), np.zeros((5, 1)), 1.0, [(0, {said: known})])
+        assert set(metrics.state_errors(trace, {"w": np.ones(5)}, {})) == expected
+    assert metrics.estimates_state(Trace((port,), np.zeros((5, 1)), 1.0, [(0, {})]), "w")  # another's FMU, without the flag
+    assert not metrics.estimates_state(Trace((port,), np.full((5, 1), np.nan), 1.0, [(0, {})]), "w")
+
+
 RESULT_OF_RECORD = {"adapted": True, "innovation": 1.0, "estimates": {n: {"valid": n != "c"} for n in ("alpha2", "b", "c")}}
 
 

@@ -286,7 +286,7 @@ def test_a_record_that_teaches_nothing_fails_and_says_why(axis: dict[str, Array]
     done = run(scenario(tmp_path, short, tables(method="self_starting_ekf")), tmp_path / "out")
     assert not done.passed
     [line] = done.findings
-    assert line.startswith("no checks are given, so the verdict is what the observer says of itself: it has not adapted")
+    assert line.startswith("No checks are given, so the verdict is what the observer says of itself: it has not adapted")
     assert line in done.result["notes"]
     assert "has not adapted since the start" in (done.folder / "report.html").read_text()
 
