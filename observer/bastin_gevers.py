@@ -9,6 +9,8 @@ import casadi as ca
 
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import filtered, step1
+from bristle.observer.filtered import fast, regressor
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
@@ -26,13 +28,8 @@ class Settings:
     gamma: tuple[float, float, float]
 
 
-REPAIRED = Settings(vc=85.0, c1=100.0, gamma=(400.0, 400.0, 800.0))
+REPAIRED = Settings(vc=0.0, c1=100.0, gamma=(400.0, 400.0, 800.0))
 PRINTED = Settings(vc=50.0, c1=100.0, gamma=(1e-3, 1e-3, 1e-4))
-
-
-def gate_parameter(prefix: str, vc: float = REPAIRED.vc) -> Parameter:
-    """Declare the gate in rad/s, for vc in deg/s."""
-    return Parameter(f"{prefix}.vc", "vc", "rad/s", vc * DEGREE, 0.0, 1e3, "speed above which step 1 adapts", CITATION)
 
 
 def gamma_parameters(prefix: str, gains: tuple[float, float, float], source: str = CITATION) -> tuple[Parameter, ...]:
@@ -54,7 +51,7 @@ def start_parameters(prefix: str, source: str = CITATION) -> tuple[Parameter, ..
 def parameters(prefix: str, settings: Settings) -> tuple[Parameter, ...]:
     """Declare gate, gains and starts under a method's name."""
     return (
-        gate_parameter(prefix, settings.vc),
+        step1.gate_parameter(prefix, settings.vc * DEGREE),
         Parameter(f"{prefix}.c1", "c1", "1/s", settings.c1, 1e-3, 1e6, "output-error gain", CITATION),
         *gamma_parameters(prefix, settings.gamma),
         *start_parameters(prefix),
@@ -72,19 +69,6 @@ def states(velocity_unit: float = 1.0, input_unit: float = 1.0) -> tuple[State, 
         State("step1_v", "rad/s", "velocity estimate of step 1"),
         State("step1_gate", "1", "1 while step 1 adapts"),
     )
-
-
-def fast(s: Sample, vc: SX) -> SX:
-    """Return 1 where the speed is above vc, in one direction, over the whole sample."""
-    return SX(ca.logic_and(ca.fmin(ca.fabs(s.y0), ca.fabs(s.y1)) > vc, s.y0 * s.y1 > 0))
-
-
-def regressor(s: Sample) -> SX:
-    """Return phi = [-v, u, -sgn v] as the mean over a sample in which v keeps its sign.
-
-    Source: dixit2008 eq. (23).
-    """
-    return ca.vertcat(-(s.y0 + s.y1) / 2, s.u, -ca.sign(s.y0))
 
 
 def adapt(p: Namespace, s: Sample, vc: SX, entry: SX | None = None) -> dict[str, SX]:
@@ -112,9 +96,11 @@ def adapt(p: Namespace, s: Sample, vc: SX, entry: SX | None = None) -> dict[str,
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
+    own = {name: p[f"step1_{name}"] for name in ESTIMATES}
+    shared = filtered.observe(p, s, step1.kept(s))[1]
     return Update(
-        next=adapt(p, s, p.vc),
-        estimates={name: p[f"step1_{name}"] for name in ESTIMATES},
+        next=shared | adapt(p, s, filtered.gate(p)),
+        **step1.published(p, own, s.period),
         signals={"v": p.step1_v},
         first={"step1_v": s.y1},
     )
@@ -125,7 +111,7 @@ METHOD = Method(
     "Bastin-Gevers observer of alpha2, b and Fc, gated to high speed",
     "bastin1988 eq. (3)",
     "y_v",
-    parameters("bastin_gevers", REPAIRED),
-    states(),
+    (*parameters("bastin_gevers", REPAIRED), *filtered.filter_parameters("bastin_gevers", 20.0)),
+    (*states(), *filtered.STATES),
     _equations,
 )

@@ -17,18 +17,18 @@ from bristle.observer.method import stack, unstack, vector_states
 SX = ca.SX
 BLOCK_TIME = 1.0  # s of a block
 REMEMBERED_BLOCKS = 15.0  # blocks that the average reaches back
+BLOCKS_AT_START = 1.0  # blocks that the ratio 1 at the start counts for
 LARGEST_RATIO = 1e9
 LEAST_VARIANCE = 1e-300  # keeps a division defined where nothing is learnt
 
 
-def states(count: int) -> tuple[State, ...]:
+def states(count: int, prefix: str = "") -> tuple[State, ...]:
     """Declare what is kept of `count` estimates."""
+    moved = "squared movement of an estimate in a block over the variance it lost there, averaged"
     return (
-        *vector_states(
-            "excess", "1", "squared movement of an estimate in a block over the variance it lost there, averaged", count, 1.0
-        ),
-        *vector_states("block_loss", "1", "variance lost since the block began", count),
-        *vector_states("block_start", "1", "estimate when the block began", count),
+        *vector_states(f"{prefix}excess", "1", moved, count, 1.0),
+        *vector_states(f"{prefix}block_loss", "1", "variance lost since the block began", count),
+        *vector_states(f"{prefix}block_start", "1", "estimate when the block began", count),
     )
 
 
@@ -38,19 +38,26 @@ def advance(p: Namespace, estimate: SX, lost: SX, age: SX, time: SX, runs: SX) -
     `estimate`: the estimates after it; `lost`: how much variance the sample took from each; `age`, `time`: how long the
     estimator has run before it, and how much of this sample counts (s); where it does not `run`, everything starts anew.
     """
-    n = estimate.numel()
+    return blocks(p, estimate, lost, (age, time, runs))
+
+
+def blocks(
+    p: Namespace, estimate: SX, lost: SX, clock: tuple[SX, SX, SX], at_start: float = BLOCKS_AT_START, prefix: str = ""
+) -> dict[str, SX]:
+    """Do the same with `clock` = (age, time, runs) and another weight of the ratio 1 at the start."""
+    n, (age, time, runs) = estimate.numel(), clock
     end = ca.logic_or(ca.logic_not(runs), ca.floor(age / BLOCK_TIME) != ca.floor((age + time) / BLOCK_TIME))
-    total = stack(p, "block_loss", n) + lost
-    start, excess = stack(p, "block_start", n), stack(p, "excess", n)
-    weight = 1 / ca.fmin(age / BLOCK_TIME + 1, REMEMBERED_BLOCKS)
+    total = stack(p, f"{prefix}block_loss", n) + lost
+    start, excess = stack(p, f"{prefix}block_start", n), stack(p, f"{prefix}excess", n)
+    weight = 1 / ca.fmin(age / BLOCK_TIME + at_start, REMEMBERED_BLOCKS)
     ratio = ca.fmin((estimate - start) ** 2 / ca.fmax(total, LEAST_VARIANCE), LARGEST_RATIO)
     return {
-        **unstack("excess", ca.if_else(runs, ca.if_else(end, excess + weight * (ratio - excess), excess), 1)),
-        **unstack("block_loss", ca.if_else(end, 0, total)),
-        **unstack("block_start", ca.if_else(end, estimate, start)),
+        **unstack(f"{prefix}excess", ca.if_else(runs, ca.if_else(end, excess + weight * (ratio - excess), excess), 1)),
+        **unstack(f"{prefix}block_loss", ca.if_else(end, 0, total)),
+        **unstack(f"{prefix}block_start", ca.if_else(end, estimate, start)),
     }
 
 
-def inflation(p: Namespace, count: int) -> SX:
-    """Return the factors by which the standard deviations exceed the claimed ones, at least 1."""
-    return SX(ca.sqrt(ca.fmax(stack(p, "excess", count), 1)))
+def inflation(p: Namespace, count: int, prefix: str = "", least: float = 1.0) -> SX:
+    """Return the factors by which the standard deviations exceed the claimed ones; of their squares none is below `least`."""
+    return SX(ca.sqrt(ca.fmax(stack(p, f"{prefix}excess", count), least)))

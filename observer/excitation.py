@@ -39,7 +39,7 @@ STATES = (
 
 
 def noise_speed(p: Namespace) -> SX:
-    """Return the speed below which the filtered velocity is the sensor's noise."""
+    """Return the speed below which a velocity from filtered positions is the sensor's noise."""
     return SX(COUNTS_OF_NOISE * p.resolution * p.cutoff)
 
 
@@ -49,8 +49,13 @@ def rms_speed(p: Namespace) -> SX:
 
 
 def advance(p: Namespace, speed: SX, period: SX) -> Excitation:
-    """Follow a filtered velocity by one sample."""
-    moving = ca.fabs(speed) > noise_speed(p)
+    """Follow a velocity from filtered positions by one sample."""
+    return follow(p, speed, period, noise_speed(p))
+
+
+def follow(p: Namespace, speed: SX, period: SX, noise: SX) -> Excitation:
+    """Follow a velocity by one sample; up to `noise` it is none."""
+    moving = ca.fabs(speed) > noise
     square = p.mean_square + period / (p.travelled + period) * (speed**2 - p.mean_square)
     clear = ca.logic_and(moving, ca.fabs(speed) > CLEAR_SHARE * ca.sqrt(square))
     reverses = ca.logic_and(clear, ca.sign(speed) != p.direction)

@@ -16,19 +16,19 @@ SINGULAR_BELOW = 1e-12  # share of each diagonal entry that keeps the eliminatio
 ZERO_ENTRY = 1e-150  # entries up to this size count as zero
 
 
-def states(order: int) -> tuple[State, ...]:
+def states(order: int, name: str = "information") -> tuple[State, ...]:
     """Declare a symmetric matrix, of which the lower triangle is kept."""
-    return symmetric_states("information", "1", "information matrix", order)
+    return symmetric_states(name, "1", "information matrix", order)
 
 
-def read(p: Namespace, order: int) -> SX:
+def read(p: Namespace, order: int, name: str = "information") -> SX:
     """Return the matrix."""
-    return stack_symmetric(p, "information", order)
+    return stack_symmetric(p, name, order)
 
 
-def write(matrix: SX) -> dict[str, SX]:
+def write(matrix: SX, name: str = "information") -> dict[str, SX]:
     """Return the next states."""
-    return unstack_symmetric("information", matrix)
+    return unstack_symmetric(name, matrix)
 
 
 class Factors:
@@ -60,20 +60,24 @@ class Factors:
             x[i] = x[i] - sum(self.l[k][i] * x[k] for k in range(i + 1, self.n))
         return ca.vertcat(*x)
 
-    def regression(self) -> SX:
-        """Return the coefficients that explain the last variable by the others; `d[-1]` is the part they do not explain."""
+    def regression(self, count: int | None = None) -> SX:
+        """Return the coefficients that explain the last variable by the first `count`, or by all others.
+
+        Of the last variable, all others leave `d[-1]` unexplained.
+        """
         last = self.n - 1
-        x = [self.l[last][i] for i in range(last)]
-        for i in reversed(range(last)):
-            x[i] = x[i] - sum(self.l[k][i] * x[k] for k in range(i + 1, last))
+        count = last if count is None else count
+        x = [self.l[last][i] for i in range(count)]
+        for i in reversed(range(count)):
+            x[i] = x[i] - sum(self.l[k][i] * x[k] for k in range(i + 1, count))
         return ca.vertcat(*x)
 
-    def inverse_diagonal(self) -> SX:
-        """Return the diagonal of the inverse (L^-1)' D^-1 L^-1."""
-        total = []
-        for i in range(self.n):
+    def inverse_diagonal(self, count: int | None = None) -> SX:
+        """Return the diagonal of the inverse (L^-1)' D^-1 L^-1, of the whole matrix or of that of the first `count`."""
+        n, total = self.n if count is None else count, []
+        for i in range(n):
             column = [SX(0)] * i + [SX(1)]
-            for j in range(i + 1, self.n):
+            for j in range(i + 1, n):
                 column.append(SX(-sum(self.l[j][k] * column[k] for k in range(i, j))))
-            total.append(sum(column[j] ** 2 / self.d[j] for j in range(i, self.n)))
+            total.append(sum(column[j] ** 2 / self.d[j] for j in range(i, n)))
         return ca.vertcat(*total)

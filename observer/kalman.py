@@ -48,12 +48,17 @@ class Servo:
         return w + self.tau * (self.gain(v) * v - self.c * ca.fabs(v) * w) + self.alpha2 * v
 
 
+def resolution_parameter(prefix: str) -> Parameter:
+    """Declare the sensor's step under a method's name."""
+    step = "step of the position sensor; 0: none"
+    return Parameter(f"{prefix}.resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, step, "dixit2008 section IV-A")
+
+
 def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare the parameters of the sensor."""
-    step = "step of the position sensor; 0: none"
     most = "largest error that counts in full, in standard deviations; a larger one e counts as g^2/e"
     return (
-        Parameter(f"{prefix}.resolution", "LSB", "rad", 2 * math.pi / 40000, 0.0, 1.0, step, "dixit2008 section IV-A"),
+        resolution_parameter(prefix),
         Parameter(f"{prefix}.gate", "g", "1", 3.0, 0.1, 1e6, most, "huber1981"),
     )
 

@@ -6,28 +6,33 @@ import casadi as ca
 
 from bristle.model.linear import Elimination
 from bristle.model.variables import Namespace, Parameter
-from bristle.observer import extension, filtered, rls
+from bristle.observer import extension, filtered, step1
 from bristle.observer.bastin_gevers import start_parameters
+from bristle.observer.companion import Row
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
-from bristle.observer.rls import Regression
 
 SX = ca.SX
 CITATION = "kreisselmeier1977"
 
 
-def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
+def kept(p: Namespace, s: Sample) -> SX:
+    """Return the share that a sample leaves of what was known."""
+    return SX(ca.exp(-p.fading * s.period))
+
+
+def adapt(p: Namespace, r: Row, period: SX) -> dict[str, SX]:
     """Advance theta' = -g (Phi theta - Y) over a sample by an implicit Euler step, stable at any gain.
 
     Phi is positive semidefinite, so that 1 + Ts g Phi needs no pivoting.
     Source: kreisselmeier1977.
     """
     theta = stack(p, "theta", 3)
-    phi, y = extension.extend(p, r.h, r.z, period)
+    phi, y = extension.extend(p, r.h[:3], r.z, period)
     gain = period * p.gain
     change = Elimination(SX.eye(3) + gain * phi).solve(gain * (y - phi @ theta))
     before = {**extension.write(*extension.read(p, 3)), **unstack("theta", theta)}
     after = {**extension.write(phi, y), **unstack("theta", theta + change)}
-    return {**r.next, **{name: ca.if_else(r.counts, after[name], before[name]) for name in after}}
+    return {name: ca.if_else(r.counts, after[name], before[name]) for name in after}
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
@@ -41,8 +46,9 @@ def parameters(prefix: str) -> tuple[Parameter, ...]:
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    new = adapt(p, filtered.regression(p, s), s.period)
-    return Update(new, rls.estimates(p), {"v": filtered.velocity(p, stack(p, "theta", 3))})
+    sample, shared = filtered.observe(p, s, kept(p, s))
+    signals = {"v": filtered.velocity(p, stack(p, "theta", 3))}
+    return Update(shared | adapt(p, sample, s.period), **step1.published(p, filtered.estimates(p), s.period), signals=signals)
 
 
 METHOD = Method(

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from bristle.observer import extension, filtered, kreisselmeier, rls
+from bristle.observer import extension, filtered, kalman, kreisselmeier, rls, step1
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    new = kreisselmeier.adapt(p, rls.regression(p, s, p.vc), s.period)
-    return Update(new, rls.estimates(p), {"v": p.last_v})
+    sample, shared = rls.observe(p, s, kreisselmeier.kept(p, s))
+    new = shared | kreisselmeier.adapt(p, sample, s.period)
+    return Update(new, **step1.published(p, filtered.estimates(p), s.period), signals={"v": p.last_v})
 
 
 METHOD = Method(
@@ -18,10 +19,11 @@ METHOD = Method(
     kreisselmeier.CITATION,
     "y_theta",
     (
-        rls.gate_parameter("kreisselmeier_position"),
+        kalman.resolution_parameter("kreisselmeier_position"),
+        step1.gate_parameter("kreisselmeier_position"),
         *rls.filter_parameters("kreisselmeier_position"),
         *kreisselmeier.parameters("kreisselmeier_position"),
     ),
-    (*rls.FILTER_STATES, *extension.states(3), *filtered.estimate_states()),
+    (*rls.STATES, *extension.states(3), *filtered.estimate_states()),
     _equations,
 )

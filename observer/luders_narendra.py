@@ -5,16 +5,16 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter
-from bristle.observer import filtered, rls
+from bristle.observer import filtered, step1
 from bristle.observer.bastin_gevers import gamma_parameters, start_parameters
+from bristle.observer.companion import Row
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
-from bristle.observer.rls import Regression
 
 SX = ca.SX
 CITATION = "luders1973"
 
 
-def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
+def adapt(p: Namespace, r: Row, period: SX) -> dict[str, SX]:
     """Advance theta' = Gamma F (z - F' theta) over a sample by an implicit step, stable at any gain.
 
     As printed (a plant in the form of Bastin and Gevers, whose regressor is filtered by the other n - 1 states), the
@@ -22,9 +22,10 @@ def adapt(p: Namespace, r: Regression, period: SX) -> dict[str, SX]:
     Source: luders1973.
     """
     theta = stack(p, "theta", 3)
-    step = period * ca.vertcat(p.gamma1, p.gamma2, p.gamma3) * r.h
-    new = theta + step * ((r.z - ca.dot(r.h, theta)) / (1 + ca.dot(r.h, step)))
-    return {**r.next, **unstack("theta", ca.if_else(r.counts, new, theta))}
+    h = r.h[:3]
+    step = period * ca.vertcat(p.gamma1, p.gamma2, p.gamma3) * h
+    new = theta + step * ((r.z - ca.dot(h, theta)) / (1 + ca.dot(h, step)))
+    return unstack("theta", ca.if_else(r.counts, new, theta))
 
 
 def parameters(prefix: str, gains: tuple[float, float, float]) -> tuple[Parameter, ...]:
@@ -34,8 +35,9 @@ def parameters(prefix: str, gains: tuple[float, float, float]) -> tuple[Paramete
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    new = adapt(p, filtered.regression(p, s), s.period)
-    return Update(new, rls.estimates(p), {"v": filtered.velocity(p, stack(p, "theta", 3))})
+    sample, shared = filtered.observe(p, s, step1.kept(s))
+    signals = {"v": filtered.velocity(p, stack(p, "theta", 3))}
+    return Update(shared | adapt(p, sample, s.period), **step1.published(p, filtered.estimates(p), s.period), signals=signals)
 
 
 METHOD = Method(

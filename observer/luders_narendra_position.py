@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from bristle.observer import filtered, luders_narendra, rls
+from bristle.observer import filtered, kalman, luders_narendra, rls, step1
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    new = luders_narendra.adapt(p, rls.regression(p, s, p.vc), s.period)
-    return Update(new, rls.estimates(p), {"v": p.last_v})
+    sample, shared = rls.observe(p, s, step1.kept(s))
+    new = shared | luders_narendra.adapt(p, sample, s.period)
+    return Update(new, **step1.published(p, filtered.estimates(p), s.period), signals={"v": p.last_v})
 
 
 METHOD = Method(
@@ -18,10 +19,11 @@ METHOD = Method(
     luders_narendra.CITATION,
     "y_theta",
     (
-        rls.gate_parameter("luders_narendra_position"),
+        kalman.resolution_parameter("luders_narendra_position"),
+        step1.gate_parameter("luders_narendra_position"),
         *rls.filter_parameters("luders_narendra_position", cutoff=50.0, hold_off=0.08),
         *luders_narendra.parameters("luders_narendra_position", (4.0, 4.0, 8.0)),
     ),
-    (*rls.FILTER_STATES, *filtered.estimate_states()),
+    (*rls.STATES, *filtered.estimate_states()),
     _equations,
 )

@@ -19,8 +19,8 @@ import casadi as ca
 
 from bristle.model.linear import Elimination
 from bristle.model.variables import Parameter, State
-from bristle.observer import filtered, rls
-from bristle.observer.bastin_gevers import gamma_parameters, gate_parameter, start_parameters
+from bristle.observer import filtered, kalman, rls, step1
+from bristle.observer.bastin_gevers import gamma_parameters, start_parameters
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
@@ -99,29 +99,25 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     Source: marino1990; dixit2008 eq. (23) and the remark on position measurement at the end of section III.
     """
     p, h = context.p, s.period
-    low = 1 - ca.exp(-p.cutoff * h)
-    once = p.once + low * ((s.y1 - s.y0) / h - p.once)
-    speed = p.speed + low * (once - p.speed)
-    runs = ca.fabs(speed) > p.vc
+    sample, shared = rls.observe(p, s, step1.kept(s))
+    speed, clear = -sample.h[0], shared["clear"]
+    runs = clear > 0
     psi = driven((s.y0 + s.y1) / 2 - p.origin, s.u, ca.sign(speed), h)
     c = chain(2, p.lam, p.zero, h)
     c = Chain(c.phi, context.constant("b", c.b), context.constant("k", c.k))
-    clear = p.clear + h
     gamma = ca.if_else(clear > p.hold_off, ca.vertcat(p.gamma1, p.gamma2, p.gamma3), 0)
     theta = stack(p, "theta", 3)
     m = ca.vertcat(SX(1, 3), stack(p, "m", 1, 3))
     x, m, theta_new = advance(c, stack(p, "x", 2), m, theta, psi, s.y1 - p.origin, gamma)
     return Update(
         next={
-            "once": once,
-            "speed": speed,
-            "clear": ca.if_else(runs, clear, 0),
+            **shared,
             "origin": ca.if_else(runs, p.origin, s.y1),
             **unstack("x", ca.if_else(runs, x, ca.vertcat(0, speed))),
             **unstack("m", ca.if_else(runs, m[1, :], 0)),
             **unstack("theta", ca.if_else(runs, theta_new, theta)),
         },
-        estimates=rls.estimates(p),
+        **step1.published(p, filtered.estimates(p), h),
         signals={"theta": p.origin + p.x0, "v": p.x1 - p.theta0 * p.x0},
         first={"origin": s.y1},
     )
@@ -133,9 +129,9 @@ METHOD = Method(
     CITATION,
     "y_theta",
     (
-        gate_parameter("marino"),
-        Parameter("marino.cutoff", "a", "1/s", 150.0, 1e-3, 1e5, "corner of the two low-pass sections before the gate", CITATION),
-        Parameter("marino.hold_off", "t_h", "s", 0.07, 0.0, 10.0, "wait after the gate's opening", CITATION),
+        kalman.resolution_parameter("marino"),
+        step1.gate_parameter("marino"),
+        *rls.filter_parameters("marino", hold_off=0.07),
         Parameter("marino.lam", "lambda", "1/s", 100.0, 1e-3, 1e4, "rate at which the output error decays", CITATION),
         Parameter("marino.zero", "b2", "1/s", 200.0, 1e-3, 1e4, "rate of the filtered transformation", CITATION),
         *gamma_parameters("marino", (4e6, 4e6, 8e6), CITATION),
@@ -144,11 +140,9 @@ METHOD = Method(
     (
         *vector_states("x", "1", "state estimate", 2),
         *vector_states("m", "1", "filtered regressor", 3),
+        *rls.STATES,
         *filtered.estimate_states(),
-        State("once", "rad/s", "speed after one low-pass section"),
-        State("speed", "rad/s", "speed after two low-pass sections"),
         State("origin", "rad", "position from which q counts"),
-        State("clear", "s", "time since the gate's opening"),
     ),
     _equations,
 )

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import casadi as ca
 
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import excitation, kalman, step1
+from bristle.observer.companion import Row
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
 CITATION = "ljung1999 section 11.2; dixit2008 eq. (23)"
 ESTIMATES = units("alpha2", "b", "Fc")
-MIN_SPEED = math.radians(85.0)
 
 
 @dataclass(frozen=True)
@@ -75,36 +75,50 @@ def least_squares(covariance: SX, h: SX, error: SX, noise: SX, forgetting: SX, l
     return ca.if_else(lost, 0, gained * (error / denominator)), (new + new.T) / 2
 
 
+def rounding_noise(resolution: SX, cutoff: SX, period: SX) -> SX:
+    """Return the variance of L v' by a position that is rounded, L = two sections of gain g, v' its second difference.
+
+    With g = 1 - q the impulse response of L on the second difference is g^2 (1, -2 g, .., g q^(k-2) (k g - 1 - q), ..) / Ts^2,
+    whose squares add up to g^4 / Ts^4 (1 + g (5 + 4 q + q^2) / (1 + q)^3).
+    Source: widrow2008 chapter 1.
+    """
+    q = ca.exp(-cutoff * period)
+    gain = 1 - q
+    squares = 1 + gain * (5 + 4 * q + q**2) / (1 + q) ** 3
+    return SX(kalman.rounding(resolution) * (gain / period) ** 4 * squares)
+
+
+def row(p: Namespace, s: Sample, gate: SX) -> tuple[Row, dict[str, SX]]:
+    """Return (sample for a companion of step 1, next states of the filters); between two sections is the input's derivative."""
+    r = regression(p, s, gate)
+    input_rate = (r.next["twice2"] - p.twice2) / s.period  # one sample back exactly, or shares of one
+    noise = rounding_noise(p.resolution, p.cutoff, s.period)
+    h = ca.vertcat(r.h, 1, input_rate)
+    return Row(r.z, h, r.h[2] * step1.falling(r.h[0], gate), r.counts, noise, 2 / (p.cutoff * s.period)), r.next
+
+
+def observe(p: Namespace, s: Sample, kept: SX) -> tuple[Row, dict[str, SX]]:
+    """Return (sample, next states of what all methods of step 1 from position share); `kept`: share that a sample leaves."""
+    gate = step1.speed_gate(p, excitation.noise_speed(p))
+    sample, filters = row(p, s, gate)
+    excited = excitation.advance(p, -sample.h[0], s.period)
+    return sample, filters | excited.next | step1.fit(p, sample, gate, kept, s.period)
+
+
 def fit(p: Namespace, s: Sample) -> dict[str, SX]:
-    """Fit the filtered regression by recursive least squares."""
-    r = regression(p, s, p.vc)
-    theta, covariance = stack(p, "theta", 3), stack(p, "p", 3, 3)
-    change, covariance_new = least_squares(covariance, r.h, r.z - ca.dot(r.h, theta), SX(1), p.forgetting, 3 * p.p_start)
-    return {
-        **r.next,
-        **unstack("theta", ca.if_else(r.counts, theta + change, theta)),
-        **unstack("p", ca.if_else(r.counts, covariance_new, covariance)),
-    }
+    """Fit the filtered regression by least squares with forgetting."""
+    return observe(p, s, ca.exp(-s.period / p.memory))[1]
 
 
 def estimates(p: Namespace) -> dict[str, SX]:
-    """Return the estimates by name."""
-    return {name: p[f"theta{i}"] for i, name in enumerate(ESTIMATES)}
+    """Return alpha2, b and Fc by name."""
+    found = step1.COMPANION.narrow(p)
+    return {name: found[name] for name in ESTIMATES}
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    return Update(fit(p, s), estimates(p), {"v": p.last_v})
-
-
-def _covariance(row: int, column: int) -> State:
-    start = (lambda p: p.p_start) if row == column else 0.0
-    return State(f"p{3 * row + column}", "1", "covariance of the estimates", initial=start)
-
-
-def gate_parameter(prefix: str) -> Parameter:
-    """Declare the gate under a method's name."""
-    return Parameter(f"{prefix}.vc", "vc", "rad/s", MIN_SPEED, 0.0, 1e3, "speed above which the fit runs", CITATION)
+    return Update(fit(p, s), **step1.published(p, {}, s.period), signals={"v": p.last_v})
 
 
 def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027) -> tuple[Parameter, ...]:
@@ -118,10 +132,9 @@ def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.02
 def parameters(prefix: str) -> tuple[Parameter, ...]:
     """Declare gate, filter and forgetting under a method's name."""
     return (
-        gate_parameter(prefix),
+        step1.gate_parameter(prefix),
         *filter_parameters(prefix),
-        Parameter(f"{prefix}.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", CITATION),
-        Parameter(f"{prefix}.p_start", "P0", "1", 1e4, 1e-9, 1e12, "start of the covariance (of each estimate)", CITATION),
+        Parameter(f"{prefix}.memory", "T", "s", 100.0, 1e-3, 1e9, "time in the fit after which a sample is forgotten", CITATION),
     )
 
 
@@ -133,18 +146,14 @@ FILTER_STATES = (
     State("clear", "s", "time since the speed last was low"),
     State("seen", "1", "steps done"),
 )
-STATES = (
-    *FILTER_STATES,
-    *(State(f"theta{i}", unit, f"estimate of {name}") for i, (name, unit) in enumerate(ESTIMATES.items())),
-    *(_covariance(row, column) for row in range(3) for column in range(3)),
-)
+STATES = (*FILTER_STATES, *step1.STATES)
 
 METHOD = Method(
     "rls",
-    "recursive least squares of alpha2, b and Fc from position, gated to high speed",
+    "recursive least squares of alpha2, b, Fc, load and delay from position, gated to high speed",
     "ljung1999 section 11.2",
     "y_theta",
-    parameters("rls"),
+    (kalman.resolution_parameter("rls"), *parameters("rls")),
     STATES,
     _equations,
 )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.observer import bastin_gevers, besancon, zhang
+from bristle.observer import bastin_gevers, besancon, filtered, step1, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
@@ -40,8 +40,9 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     alpha2, b = p.step1_alpha2, p.step1_b
     step2 = besancon.step(context, s, besancon.filter_of(context, s), alpha2, b)
     estimates, signals = besancon.published(p, alpha2)
+    shared = filtered.observe(p, s, step1.kept(s))[1]
     return Update(
-        next=bastin_gevers.adapt(p, s, p.vc) | when(go, step2, waiting(context, s.y1)),
+        next=shared | bastin_gevers.adapt(p, s, filtered.gate(p)) | when(go, step2, waiting(context, s.y1)),
         estimates={name: p[f"step1_{name}"] for name in bastin_gevers.ESTIMATES} | estimates,
         signals=signals,
         first={"step1_v": s.y1, "x0": s.y1},
@@ -57,9 +58,10 @@ METHOD = Method(
     (
         start_parameter("two_step"),
         *bastin_gevers.parameters("two_step", bastin_gevers.REPAIRED),
+        *filtered.filter_parameters("two_step", 20.0),
         *zhang.gain_parameters("two_step", besancon.K0, besancon.LAM, besancon.START_VALUES),
         *zhang.matrix_parameters("two_step"),
     ),
-    (*bastin_gevers.states(), *zhang.states(2)),
+    (*bastin_gevers.states(), *filtered.STATES, *zhang.states(2)),
     _equations,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bristle.observer import drem, rls, smoothing, zhang
+from bristle.observer import drem, kalman, rls, smoothing, zhang
 from bristle.observer.drem_position import DREM_BANDWIDTH
 from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, when
@@ -33,6 +33,7 @@ METHOD = Method(
     "y_theta",
     (
         start_parameter("two_step_drem", 20.0),
+        kalman.resolution_parameter("two_step_drem"),
         *rls.parameters("two_step_drem"),
         smoothing.parameter("two_step_drem"),
         *drem.parameters("two_step_drem", DREM_BANDWIDTH),

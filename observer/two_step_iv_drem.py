@@ -13,7 +13,7 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import drem, rls, smoothing, zhang
+from bristle.observer import drem, kalman, rls, smoothing, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 from bristle.observer.two_step import begun, start_parameter, when
 
@@ -99,12 +99,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
-    """Declare filter, averaging and gain under a method's name."""
-    shared = {f"{prefix}.{name}" for name in ("fading",)}
-    return (
-        *(each for each in drem.parameters(prefix, IV_BANDWIDTH) if each.name not in shared),
-        Parameter(f"{prefix}.memory", "T", "s", 100.0, 0.1, 1e6, "time over which the averages reach back", CITATION),
-    )
+    """Declare filter and gain under a method's name; the averages reach back over the memory of the fit."""
+    return tuple(each for each in drem.parameters(prefix, IV_BANDWIDTH) if each.name != f"{prefix}.fading")
 
 
 STATES = (
@@ -126,6 +122,7 @@ METHOD = Method(
     "y_theta",
     (
         start_parameter("two_step_iv_drem", 20.0),
+        kalman.resolution_parameter("two_step_iv_drem"),
         *rls.parameters("two_step_iv_drem"),
         smoothing.parameter("two_step_iv_drem"),
         *parameters("two_step_iv_drem"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bristle.observer import martinez_poznyak, rls, smoothing, zhang
+from bristle.observer import kalman, martinez_poznyak, rls, smoothing, zhang
 from bristle.observer.martinez_poznyak_position import EQUIVALENT_NOISE, MARTINEZ_BANDWIDTH
 from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, when
@@ -34,6 +34,7 @@ METHOD = Method(
     "y_theta",
     (
         start_parameter("two_step_martinez", 20.0),
+        kalman.resolution_parameter("two_step_martinez"),
         *rls.parameters("two_step_martinez"),
         smoothing.parameter("two_step_martinez"),
         *martinez_poznyak.parameters("two_step_martinez", MARTINEZ_BANDWIDTH, EQUIVALENT_NOISE),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bristle.observer import besancon_position, rls, zhang
+from bristle.observer import besancon_position, kalman, rls, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 from bristle.observer.two_step import begun, start_parameter, waiting, when
 
@@ -34,6 +34,7 @@ METHOD = Method(
     "y_theta",
     (
         start_parameter("two_step_position", 20.0),
+        kalman.resolution_parameter("two_step_position"),
         *rls.parameters("two_step_position"),
         *besancon_position.parameters("two_step_position"),
     ),

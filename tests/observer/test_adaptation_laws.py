@@ -86,8 +86,8 @@ CASES = [  # limits of about twice what was measured
     ("luders_narendra", "L0", STEP1, 0.05),
     ("luders_narendra_position", "S", STEP1, 4.0),
     ("luders_narendra_position", "L0", STEP1, 4.0),
-    ("kreisselmeier", "S", STEP1, 0.01),
-    ("kreisselmeier", "L0", STEP1, 0.01),
+    ("kreisselmeier", "S", STEP1, 0.1),
+    ("kreisselmeier", "L0", STEP1, 0.35),
     ("kreisselmeier_position", "S", STEP1, 0.25),
     ("kreisselmeier_position", "L0", STEP1, 0.25),
     ("marino", "S", STEP1, 7.0),
@@ -162,7 +162,7 @@ def test_marino_of_order_one_is_the_observer_of_bastin_and_gevers():
     states = (State("x", "1", "x"), State("gate", "1", "gate"), *vector_states("theta", "1", "estimate", 3))
     data, names = record("S"), (*STEP1, "v")
     ours = run(alone("first_order", "y_v", states, first_order), data, names)
-    theirs = run(observer_program("bastin_gevers"), data, names)
+    theirs = run(observer_program("bastin_gevers"), data, names, {"bastin_gevers.vc": 85.0 * bastin_gevers.DEGREE})
     assert np.ptp(theirs[:, 0]) > 1.0
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
@@ -395,6 +395,6 @@ def test_least_squares_at_constant_speed_do_not_run_away():
     """What is not excited is forgotten, and its covariance grows, but not without end."""
     n = 20000
     inputs = {"u": np.ones(n), "y_theta": 3.0 * np.arange(n) * STEP}
-    out, _ = Native(observer_program("rls"), {"rls.forgetting": 0.9}).run(STEP, inputs, [f"{name}_hat" for name in STEP1])
+    out, _ = Native(observer_program("rls"), {"rls.memory": 0.01}).run(STEP, inputs, [f"{name}_hat" for name in STEP1])
     assert np.all(np.isfinite(out))
     assert np.max(np.abs(out[-1])) < 1e3

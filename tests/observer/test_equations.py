@@ -88,9 +88,11 @@ def test_recursive_least_squares_equals_the_batch_solution():
     v[0] = 3.0
     for k in range(n - 1):  # exact solution of v' = -2 v + 6.5 u - 4 over a sample, while v > 0
         v[k + 1] = v[k] * np.exp(-2 * PERIOD) + (6.5 * u[k] - 4.0) / 2 * (1 - np.exp(-2 * PERIOD))
-    theta = np.cumsum(v) * PERIOD + 1e-4 * random.standard_normal(n)
-    parameters = {"rls.forgetting": 1.0, "rls.p_start": 1e12, "rls.hold_off": 0.0}
-    out, _ = Native(observer_program("rls"), parameters).run(PERIOD, {"u": u, "y_theta": theta}, ["alpha2_hat", "b_hat", "Fc_hat"])
+    u, v = np.concatenate([u, -0.9 * u]), np.concatenate([v, -0.9 * v])  # both directions, else load and friction are one
+    theta = np.cumsum(v) * PERIOD + 1e-4 * random.standard_normal(2 * n)
+    parameters = {"rls.memory": 1e9, "rls.vc": np.deg2rad(85), "rls.hold_off": 0.0}
+    names = ["alpha2_hat", "b_hat", "Fc_hat", "load_hat", "delay_hat"]
+    out, _ = Native(observer_program("rls"), parameters).run(PERIOD, {"u": u, "y_theta": theta}, names)
     speed = np.diff(theta) / PERIOD
     rows = np.column_stack([np.diff(speed) / PERIOD, -(speed[1:] + speed[:-1]) / 2, (u[1:-1] + u[:-2]) / 2])
     for _ in range(2):
@@ -100,6 +102,8 @@ def test_recursive_least_squares_equals_the_batch_solution():
             filtered[k] = state
         rows = filtered
     used = np.abs(rows[:, 1]) > np.deg2rad(85)
-    regressors = np.column_stack([rows[:, 1], rows[:, 2], np.sign(rows[:, 1])])[used]
+    rate = np.diff(rows[:, 2], prepend=0.0) / PERIOD
+    regressors = np.column_stack([rows[:, 1], rows[:, 2], np.sign(rows[:, 1]), np.ones(len(rows)), rate])[used]
     batch = np.linalg.lstsq(regressors, rows[used, 0], rcond=None)[0]
-    np.testing.assert_allclose(out[-1], batch, rtol=1e-5)
+    batch[4] /= -batch[1] * PERIOD
+    np.testing.assert_allclose(out[-1], batch, rtol=1e-5, atol=1e-6)

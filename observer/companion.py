@@ -1,0 +1,149 @@
+"""What a method's estimates are worth: a least-squares fit beside it, on the same filtered signals.
+
+Each method is, for its own filtered signals, a linear regression z = h' theta + e. A companion keeps the information of
+[h, x, z], where x are columns of what the method does not model but a rig may have: a load torque, a delay, friction that
+still falls with speed. From it follow the least squares of theta beside x, how well these are known, and so
+
+- the standard deviation of an estimate: that of the least squares, enlarged as much as they move more than they claim
+  (consistency.py), and the distance of the estimate from them. What a gradient law lags behind, and what a load or a delay
+  does to a method that knows of none, is in that distance;
+- `adapted`: more independent samples have counted than there are columns;
+- `innovation`: the mean squared residual of late over what the sensor alone explains;
+- `valid`: adapted, a standard deviation that is a small share of the estimate, and nothing known for sure that is impossible.
+
+Use, in a method with estimates alpha2, b and Fc::
+
+    COMPANION = Companion(("alpha2", "b", "Fc"), extra=2)       # h has three entries, x has two
+    states:     (*own, *COMPANION.states)
+    next:       own | COMPANION.advance(p, Row(z, h, x, counts, noise, alike), kept, period)
+    published:  Update(next, estimates, **COMPANION.judge(p, COMPANION.deviations(p, estimates), limits, possible))
+
+The estimates may be the method's own, or the least squares themselves (`fit`). A second companion in one method needs a
+`prefix` of its own.
+Source: ljung1999 sections 9.6 and 11.2; hausman1978 (an estimate against one that is right under wider assumptions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from bristle.model.variables import Namespace, State
+from bristle.observer import consistency, information
+from bristle.observer.method import stack, unstack, vector_states
+
+SX = ca.SX
+RIDGE_SHARE = 1e-9  # of each diagonal entry: shares out among equal columns what they explain together
+LEAST_EXCESS = 1e-3  # of the squared movement over the variance lost: errors of a differentiated signal average out faster
+BLOCKS_OF_CLAIM = 0.05  # blocks that the claimed variance counts for at the start
+LATE_TIME = 20.0  # s, over which the innovations of late are averaged
+LARGEST_SQUARE = 1e6  # most that one squared innovation counts over the variance of the sensor
+LEAST_NOISE = 1e-300  # keeps a division defined where the sensor has none
+LARGEST_SD = 1e9  # published, where nothing is known
+
+
+@dataclass(frozen=True)
+class Row:
+    """A sample of z = h' theta + x' eta + e, and whether it counts.
+
+    `noise`: variance of e by the sensor alone; `alike`: how many samples in a row share an error (of a filter with corner a:
+    2 / (a Ts)).
+    """
+
+    z: SX
+    h: SX
+    x: SX
+    counts: SX
+    noise: SX
+    alike: SX
+
+
+class Companion:
+    """The least squares of the entries of theta called `names`, beside `extra` further columns."""
+
+    def __init__(self, names: Sequence[str], extra: int = 0, prefix: str = "") -> None:
+        self.names, self.prefix = tuple(names), prefix
+        self.count, self.columns = len(self.names), len(self.names) + extra
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """What the companion remembers."""
+        pre = self.prefix
+        return (
+            *information.states(self.columns + 1, f"{pre}information"),
+            *vector_states(f"{pre}fit", "1", f"least squares of {', '.join(self.names)}", self.count),
+            *vector_states(f"{pre}narrow", "1", "the same without the further columns", self.count),
+            *vector_states(f"{pre}unit", "1", "their variance for unit variance of the residual", self.count),
+            State(f"{pre}rows", "1", "samples remembered"),
+            State(f"{pre}counted", "s", "time that has counted"),
+            State(f"{pre}residual", "1", "variance of the residual that independent samples would have"),
+            State(f"{pre}adapted", "1", "1 when more independent samples have counted than there are columns"),
+            State(f"{pre}late", "1", "mean squared residual of late over what the sensor explains"),
+            *consistency.states(self.count, pre),
+        )
+
+    def advance(self, p: Namespace, row: Row, kept: SX, period: SX) -> dict[str, SX]:
+        """Return the next states after a sample that, if it counts, leaves the share `kept` of what was known.
+
+        Source: ljung1999 section 11.2 (information form); flyvbjerg1989 (samples that share an error).
+        """
+        pre, n = self.prefix, self.count
+        line = ca.vertcat(row.h, row.x, row.z)
+        before, rows = information.read(p, self.columns + 1, f"{pre}information"), p[f"{pre}rows"]
+        r = ca.if_else(row.counts, kept * before + line @ line.T, before)
+        rows = ca.if_else(row.counts, kept * rows + 1, rows)
+        factors = information.Factors(r + RIDGE_SHARE * ca.diag(ca.diag(r)))
+        everything, unit = factors.regression(), factors.inverse_diagonal(self.columns)[:n]
+        free = rows / row.alike - self.columns  # independent samples beyond the unknowns
+        adapted = free > 0
+        residual = factors.d[-1] / ca.fmax(free, 1)
+        lost = ca.if_else(row.counts, ca.fmax(stack(p, f"{pre}unit", n) / kept - unit, 0), 0)
+        fit = ca.if_else(adapted, everything[:n], 0)
+        time, age = ca.if_else(row.counts, period, 0), p[f"{pre}counted"]
+        square = ca.fmin((row.z - ca.dot(line[:-1], everything)) ** 2 / ca.fmax(row.noise, LEAST_NOISE), LARGEST_SQUARE)
+        late = p[f"{pre}late"]
+        share = time / ca.fmin(age + period, LATE_TIME)
+        return {
+            **information.write(r, f"{pre}information"),
+            **unstack(f"{pre}fit", fit),
+            **unstack(f"{pre}narrow", ca.if_else(adapted, factors.regression(n), 0)),
+            **unstack(f"{pre}unit", unit),
+            f"{pre}rows": rows,
+            f"{pre}counted": age + time,
+            f"{pre}residual": residual,
+            f"{pre}adapted": adapted,
+            f"{pre}late": late + share * (square - late),
+            **consistency.blocks(p, fit, residual * lost, (age, time, p[f"{pre}adapted"] > 0), BLOCKS_OF_CLAIM, pre),
+        }
+
+    def fit(self, p: Namespace) -> dict[str, SX]:
+        """Return the least squares beside the further columns; 0 before there are enough samples."""
+        return {name: p[f"{self.prefix}fit{i}"] for i, name in enumerate(self.names)}
+
+    def narrow(self, p: Namespace) -> dict[str, SX]:
+        """Return the least squares without the further columns."""
+        return {name: p[f"{self.prefix}narrow{i}"] for i, name in enumerate(self.names)}
+
+    def deviations(self, p: Namespace, estimates: Mapping[str, SX]) -> dict[str, SX]:
+        """Return the standard deviations of estimates of some of the entries.
+
+        Source: ljung1999 section 9.6; hausman1978.
+        """
+        factors = consistency.inflation(p, self.count, self.prefix, LEAST_EXCESS)
+        own = p[f"{self.prefix}residual"] * stack(p, f"{self.prefix}unit", self.count) * factors**2
+        fit = self.fit(p)
+        square = {name: own[self.names.index(name)] + (x - fit[name]) ** 2 for name, x in estimates.items()}
+        return {name: ca.fmin(ca.sqrt(each), LARGEST_SD) for name, each in square.items()}
+
+    def judge(self, p: Namespace, sd: Mapping[str, SX], limits: Mapping[str, SX], possible: SX) -> dict[str, Any]:
+        """Return the fields of an `Update` for estimates with these standard deviations, each valid below its limit.
+
+        `possible`: 0 where something is known that cannot be, so that the model is refuted.
+        """
+        adapted = p[f"{self.prefix}adapted"] > 0
+        sound = ca.logic_and(adapted, possible)
+        valid = {name: ca.logic_and(sound, sd[name] < limit) for name, limit in limits.items()}
+        return {"sd": dict(sd), "valid": valid, "adapted": adapted, "innovation": p[f"{self.prefix}late"]}

@@ -1,0 +1,80 @@
+"""What all methods of step 1 share beside their laws: the companion, which also finds a load torque and a delay.
+
+Above the gate, all filtered alike: v' = -alpha2 v + b u(t - d) - Fc sgn v + load, and what friction still falls with speed.
+Source: dixit2008 eq. (23), with a constant load and b u(t - d) = b u - b d u' to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import excitation
+from bristle.observer.companion import Companion, Row
+from bristle.observer.method import Sample
+
+SX = ca.SX
+COMPANION = Companion(("alpha2", "b", "Fc", "load", "late_drive"), extra=1)  # the last is -b d
+GATE_SHARE = 0.7  # of the rms speed in motion, above which samples count
+LEAST_SPEED = 1e-9  # rad/s, below which nothing moves
+MEMORY = 100.0  # s, in which the companion of a gradient law forgets
+GATE_POWER = 4  # power of the gate with which a sample counts that came from a lower one
+VALID_SHARE = 0.08  # standard deviation of a valid estimate over its size, of the load over Fc
+STATES = (*excitation.STATES, *COMPANION.states, State("gate_reached", "rad/s", "highest gate so far"))
+VALID_DELAY = 0.1  # samples, standard deviation of a valid delay
+IMPOSSIBLE_BY = 2.0  # standard deviations below zero at which a friction refutes the model
+LONGEST_FOUND = 1e3  # samples, beyond which a delay is no delay
+LEAST_SQUARE = 1e-300  # keeps a division by b defined
+
+
+def gate_parameter(prefix: str, vc: float = 0.0) -> Parameter:
+    """Declare the gate in rad/s under a method's name."""
+    text = f"speed above which step 1 adapts; 0: {GATE_SHARE:g} of the rms speed in motion so far"
+    return Parameter(f"{prefix}.vc", "vc", "rad/s", vc, 0.0, 1e3, text, "dixit2008 eq. (23)")
+
+
+def speed_gate(p: Namespace, noise: SX) -> SX:
+    """Return the speed above which samples count: `vc`, or a share of the rms speed in motion so far, above the sensor's noise."""
+    own = ca.fmax(ca.fmax(GATE_SHARE * excitation.rms_speed(p), noise), LEAST_SPEED)
+    return SX(ca.if_else(p.vc > 0, p.vc, own))
+
+
+def kept(s: Sample) -> SX:
+    """Return the share that a sample leaves of what was known, for laws that have no memory of their own."""
+    return SX(ca.exp(-s.period / MEMORY))
+
+
+def fit(p: Namespace, sample: Row, gate: SX, kept: SX, period: SX) -> dict[str, SX]:
+    """Return the next states of the companion; what came from below the highest gate so far is forgotten as that rises.
+
+    `kept`: share that a sample leaves of what was known.
+    """
+    reached = ca.fmax(p.gate_reached, gate)
+    kept = kept * (p.gate_reached / reached) ** GATE_POWER
+    return COMPANION.advance(p, sample, kept, period) | {"gate_reached": reached}
+
+
+def falling(speed: SX, gate: SX) -> SX:
+    """Return a friction that falls with the inverse square of the speed above the gate, over its value at the gate."""
+    return SX((gate / ca.fmax(ca.fabs(speed), gate)) ** 2)
+
+
+def published(p: Namespace, own: Mapping[str, SX], period: SX) -> dict[str, Any]:
+    """Return the fields of an `Update` for a method's own estimates; load and delay are the companion's where it has none.
+
+    A friction that is negative for sure refutes the model, and then nothing is valid.
+    """
+    found = COMPANION.narrow(p) | dict(own)
+    sd = COMPANION.deviations(p, found)
+    alpha2, b, friction, load, late = (found[name] for name in COMPANION.names)
+    samples = b / (b**2 + LEAST_SQUARE) / period
+    delay = ca.fmax(ca.fmin(-late * samples, LONGEST_FOUND), -LONGEST_FOUND)
+    sd |= {"delay": ca.fmin(sd.pop("late_drive") * ca.fabs(samples), LONGEST_FOUND)}
+    sizes = {"alpha2": alpha2, "b": ca.fabs(b), "Fc": friction, "load": friction}
+    limits = {name: VALID_SHARE * size for name, size in sizes.items()} | {"delay": SX(VALID_DELAY)}
+    possible = ca.logic_and(alpha2 > -IMPOSSIBLE_BY * sd["alpha2"], friction > -IMPOSSIBLE_BY * sd["Fc"])
+    estimates = {"alpha2": alpha2, "b": b, "Fc": friction, "load": load, "delay": delay + p.delay}
+    return {"estimates": estimates, **COMPANION.judge(p, sd, limits, possible)}
