@@ -33,9 +33,12 @@ def build(config: Path, site: Path) -> subprocess.CompletedProcess[str]:
 def test_the_site_builds_strictly(tmp_path):
     done = build(ROOT / "mkdocs.yml", tmp_path / "site")
     assert done.returncode == 0, done.stdout + done.stderr
-    first = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
-    assert "<h1" in first
-    assert 'src="http' not in first  # no script, font or picture of another place
+    site = tmp_path / "site"
+    pages = {str(path.relative_to(site)): path.read_text(encoding="utf-8") for path in site.rglob("*.html")}
+    assert "<h1" in pages["index.html"]
+    assert not [name for name, text in pages.items() if 'src="http' in text]  # no script, font or picture of another place
+    assert '<script src="iframe-worker.js">' in pages["index.html"]  # with the next file, search in pages opened as files
+    assert "Glossary" in (site / "search" / "search_index.js").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
