@@ -21,12 +21,12 @@ RELATIONS = {Ge: ("ge", "≥"), Gt: ("gt", ">"), Le: ("le", "≤"), Lt: ("lt", "
 def key_tables(section: type[Section], choices: Choices, path: str = "", level: int = 2) -> Iterator[str]:
     """Yield the lines of a Markdown page: a table of keys for a section of the file and for every table inside."""
     yield from (f"{'#' * level} `{path}`", "", (section.__doc__ or "").strip(), "") if path else (f"{'#' * level} Top level", "")
-    yield from ("| key | type | unit | default | allowed | meaning |", "|---|---|---|---|---|---|")
+    yield from ("| key | meaning | type | unit | default | allowed |", "|---|---|---|---|---|---|")
     inner = []
     for name, field in section.model_fields.items():
         given = _cell(", ".join(f"`{value}`" for value in choices.get((section.__name__, name), ())) or _allowed(field))
         kind = "text with a unit" if _unit(field) else _kind(field.annotation)
-        texts = (f"`{name}`", kind, _unit(field), _default(field), given, _cell(field.description or ""))
+        texts = (f"`{name}`", _cell(field.description or ""), kind, _unit(field), _default(field), given)
         yield f"| {' | '.join(texts)} |"
         if child := _section(field.annotation):
             many = get_origin(_plain(field.annotation)) is list

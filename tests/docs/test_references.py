@@ -18,6 +18,6 @@ def test_every_key_has_a_type_and_a_meaning(page):
     ]
     assert len(rows) > 8
     for row in rows:
-        key, kind, *_, meaning = row
+        key, meaning, kind, *_ = row
         assert kind.strip(), key
         assert len(meaning.split()) >= 2, (key, meaning)
