@@ -175,7 +175,8 @@ record has 60 s; the estimates at its end are compared with the truth. A conditi
 reference of noise through 5 rad/s (one or two sections by turns) of 120 deg/s rms, 1 ms, 40000 counts a turn, no load, no
 delay, no noise, sets S and R of [the mathematics](../mathematics.md). Methods that read the position get the encoder, methods
 that read the velocity the true one, so that they are not judged by a differentiation that they do not contain. No method gets
-a true value.
+a true value. `moving_horizon` is no observer but a ceiling: it solves a least-squares problem over the last 10 s every 5 s
+(`benchmarks/conditions/moving_horizon.py`), on the first record of each plant only; times are those of this grid.
 
 An estimate counts as right within 5 % and as wrong beyond 10 %. "within 2 sd" is the share of the valid estimates that have a
 standard deviation and lie within two of them of the truth (goal: 90 to 99 %).

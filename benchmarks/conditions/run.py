@@ -12,7 +12,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from inspect import getsource
@@ -24,8 +24,9 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import moving_horizon
 import numpy as np
-from condition_records import CONDITIONS, SOURCE, Condition, Record, record
+from condition_records import CONDITIONS, SOURCE, Array, Condition, Record, record
 from conditions_page import publish
 from rich.progress import track
 from shared import write_json
@@ -55,17 +56,20 @@ def estimated(method: str) -> tuple[str, ...]:
 def studied() -> list[str]:
     """Return the methods that estimate something of which the truth is known, without help by true values."""
     given = {name for name, method in methods().items() if any(p.description.endswith("known") for p in method.parameters)}
-    return [name for name in methods() if name not in given and set(estimated(name)) & set(JUDGED)]
+    return [*(name for name in methods() if name not in given and set(estimated(name)) & set(JUDGED)), moving_horizon.NAME]
 
 
 def observe(method: str, condition: Condition, data: Record) -> Json:
     """Return what a method makes of a record, at its end and on the way."""
+    if method == moving_horizon.NAME:
+        return moving_horizon.observe(condition, data, JUDGED)
     program = observer_program(method)
     values = {"sample_time": condition.period}
     if f"{method}.resolution" in program.index:
         values[f"{method}.resolution"] = 2 * math.pi / condition.counts
     names = [name for name in estimated(method) if name in data.true]
-    also = [f"{method}.starts"] if f"{method}.starts" in program.index else []
+    restarting = f"{method}.starts" in program.index
+    also = [f"{method}.starts", f"{method}.resumes"] if restarting else []
     columns = [f"{name}_{what}" for what in ("hat", "sd", "valid") for name in names] + ["innovation", *also]
     try:
         inputs = {"u": data.u, "y_theta": data.y_theta, "y_v": data.y_v}
@@ -89,13 +93,25 @@ def observe(method: str, condition: Condition, data: Record) -> Json:
         "valid": dict(zip(names, valid[-1].tolist(), strict=True)),
         "settled_s": second if math.isfinite(second) else None,
         "innovation": float(rows[-1, 3 * n]),
-        "changes": max(float(rows[-1, -1]) - 1, 0.0) if also else 0.0,
+        "changes": _changes(rows[:, -2], rows[:, -1]) if restarting else 0,
     }
 
 
+def _changes(starts: Array, resumes: Array) -> int:
+    """Return how many starts follow a change that was found; the others begin anew because the filter did not converge."""
+    return int(np.count_nonzero((np.diff(starts) > 0) & (resumes[1:] > 0)))
+
+
+@cache
+def _identity(method: str) -> str:
+    """Return what identifies the equations of a method and what is made of its outputs."""
+    if method == moving_horizon.NAME:
+        return digest(getsource(moving_horizon))
+    return digest(*fingerprint(observer_program(method)), getsource(observe), getsource(_changes))
+
+
 def _path(method: str, condition: Condition, plant: str, seed: int) -> Path:
-    program = fingerprint(observer_program(method))
-    key = digest(*program, SOURCE, repr(condition), plant, str(seed), getsource(observe))
+    key = digest(_identity(method), SOURCE, repr(condition), plant, str(seed))
     return cache_folder() / "conditions" / "results" / key[:2] / f"{key[:40]}.json"
 
 
@@ -107,18 +123,18 @@ def compute(job: tuple[str, str, str, int]) -> None:
         write_json(path, observe(method, CONDITIONS[name], record(CONDITIONS[name], plant, seed)))
 
 
-def plan(chosen: list[str], seeds: int) -> Iterator[tuple[str, str, str, int]]:
-    """Yield all jobs, so that the records of one condition are used by all methods one after the other."""
+def plan(seeds: Mapping[str, int]) -> Iterator[tuple[str, str, str, int]]:
+    """Yield all jobs for the seeds of each method; those on the same record follow each other."""
     for name, condition in CONDITIONS.items():
         for plant in condition.plants:
-            for seed in range(1, seeds + 1):
-                yield from ((method, name, plant, seed) for method in chosen)
+            for seed in range(1, max(seeds.values()) + 1):
+                yield from ((method, name, plant, seed) for method, most in seeds.items() if seed <= most)
 
 
-def results(chosen: list[str], seeds: int) -> dict[str, dict[str, list[Json]]]:
+def results(seeds: Mapping[str, int]) -> dict[str, dict[str, list[Json]]]:
     """Return what there is, by method and condition."""
-    found: dict[str, dict[str, list[Json]]] = {method: {} for method in chosen}
-    for method, name, plant, seed in plan(chosen, seeds):
+    found: dict[str, dict[str, list[Json]]] = {method: {} for method in seeds}
+    for method, name, plant, seed in plan(seeds):
         path = _path(method, CONDITIONS[name], plant, seed)
         if path.exists():
             found[method].setdefault(name, []).append(json.loads(path.read_text(encoding="utf-8")))
@@ -134,16 +150,18 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--pages", action="store_true", help="only write the page")
     chosen = parser.parse_args()
-    wanted = chosen.methods.split(",")
-    best = [BEST] if BEST in wanted else []
+    special = {BEST: chosen.best_seeds, moving_horizon.NAME: 1}
+    seeds = {method: special.get(method, chosen.seeds) for method in studied()}
     if not chosen.pages:
+        wanted = chosen.methods.split(",")
         for method in wanted:
-            observer_program(method)
-        work = list(dict.fromkeys([*plan(wanted, chosen.seeds), *plan(best, chosen.best_seeds)]))
+            if method != moving_horizon.NAME:
+                observer_program(method)
+        work = list(plan({method: seeds[method] for method in wanted}))
         with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
             for _ in track(pool.map(compute, work, chunksize=8), total=len(work), description="records"):
                 pass
-    publish(results(studied(), chosen.seeds) | results([BEST], chosen.best_seeds), BEST)
+    publish(results(seeds), BEST)
 
 
 if __name__ == "__main__":
