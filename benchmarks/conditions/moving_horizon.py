@@ -253,7 +253,8 @@ def _named(p: Array, covariance: Array) -> tuple[dict[str, float], dict[str, flo
 
 def estimate(condition: Condition, data: Record) -> list[dict[str, Any]]:
     """Return one row for each time of the grid: time, estimates, standard deviations, mean squared residual over the sensor's."""
-    d, rows, first = _Data(condition, data), [], 0
+    d, first = _Data(condition, data), 0
+    rows: list[dict[str, Any]] = []
     per, longest = round(GRID / condition.period), round(HORIZON / condition.period)
     ends = range(per, len(data.u), per)
     filtered = _filtered(condition, data, ends)
@@ -272,7 +273,7 @@ def estimate(condition: Condition, data: Record) -> list[dict[str, Any]]:
         z, _, normal, cost = min((_solve(d, first, last, start, prior) for start in starts), key=lambda each: each[3])
         misfit = cost / (last - first)
         covariance = np.linalg.pinv(normal + prior.information, hermitian=True)[MOTION:, MOTION:]
-        values, spread = _named(z[MOTION:], covariance * min(max(misfit, 1.0), 1e12))
+        values, spread = _named(z[MOTION:], np.asarray(covariance * min(max(misfit, 1.0), 1e12), dtype=np.float64))
         rows.append({"time": last * condition.period, "values": values, "sd": spread, "misfit": min(misfit, 1e12)})
     return rows
 
