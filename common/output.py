@@ -1,4 +1,4 @@
-"""Output files: JSON content, a check that the folder is writable before a long computation, writing through to the disk."""
+"""Output files: JSON content, a check that the folder is writable before a long computation, all files or none."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -75,3 +75,63 @@ def write_file(path: Path, content: bytes) -> None:
         stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def check_no_folder(out: Path, names: Sequence[str]) -> None:
+    """Raise `BristleError` if a file of one of these names could not be written into `out`, because a folder is called so."""
+    for name in names:
+        if (out / name).is_dir():
+            raise BristleError(f"{out}: '{name}' in it is a folder, and a file of that name is to be written; move it away")
+
+
+def replace_files(out: Path, content: Mapping[str, bytes], names: Sequence[str]) -> list[Path]:
+    """Put files into a folder in the place of older ones: all of them or none.
+
+    Parameters
+    ----------
+    out : Path
+        The folder, which exists.
+    content : mapping of str to bytes
+        The files by name.
+    names : sequence of str
+        All names that belong to the writer: files of these names that are not in `content` go.
+
+    Returns
+    -------
+    list of Path
+        The files that were written, in the order of `names`.
+
+    Raises
+    ------
+    BristleError
+        If the folder cannot be written or the disk is full; the folder is then as it was.
+    """
+    try:
+        with tempfile.TemporaryDirectory(dir=out, prefix=".bristle-", ignore_cleanup_errors=True) as work:
+            fresh, old = Path(work) / "new", Path(work) / "old"
+            fresh.mkdir()
+            old.mkdir()
+            for name, data in content.items():
+                write_file(fresh / name, data)
+            _exchange(fresh, out, old, names)
+    except OSError as error:
+        raise complain(out, error) from None
+    return [out / name for name in names if name in content]
+
+
+def _exchange(fresh: Path, out: Path, old: Path, names: Sequence[str]) -> None:
+    """Move the files of `out` that have these names into `old`, those of `fresh` into `out`; undo it if that fails."""
+    placed = []
+    try:
+        for name in names:
+            if (out / name).exists():
+                os.replace(out / name, old / name)
+            if (fresh / name).exists():
+                os.replace(fresh / name, out / name)
+                placed.append(name)
+    except BaseException:
+        for name in placed:
+            os.unlink(out / name)
+        for path in old.iterdir():
+            os.replace(path, out / path.name)
+        raise

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bristle.common.errors import BristleError, IncompleteError
-from bristle.common.output import check_writable, complain, to_json, write_file
+from bristle.common.output import check_no_folder, check_writable, replace_files, to_json
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
 from bristle.diagnosis.report.figures import draw
@@ -219,7 +218,7 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
     check_writable(out)
     check_places(out)
     package = _package(diagnosis, choose, fmi)
-    written = _replace(out, package.content)
+    written = replace_files(out, package.content, WRITTEN_FILES)
     if package.problems:
         raise IncompleteError(f"{package.problems[0]} (all else is in {out})")
     return written
@@ -231,38 +230,4 @@ def check_places(out: Path, inputs: Iterable[Path] = ()) -> None:
     for path in inputs:
         if Path(path).resolve() in places:
             raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
-    for place, name in places.items():
-        if place.is_dir():
-            raise BristleError(f"{out}: '{name}' in it is a folder, and a file of that name is to be written; move it away")
-
-
-def _replace(out: Path, content: Mapping[str, bytes]) -> list[Path]:
-    """Put the files in the place of older ones; put those back if anything comes in between."""
-    try:
-        with tempfile.TemporaryDirectory(dir=out, prefix=".bristle-", ignore_cleanup_errors=True) as work:
-            fresh, old = Path(work) / "new", Path(work) / "old"
-            fresh.mkdir()
-            old.mkdir()
-            for name, data in content.items():
-                write_file(fresh / name, data)
-            _exchange(fresh, out, old)
-    except OSError as error:
-        raise complain(out, error) from None
-    return [out / name for name in WRITTEN_FILES if name in content]
-
-
-def _exchange(fresh: Path, out: Path, old: Path) -> None:
-    placed = []
-    try:
-        for name in WRITTEN_FILES:
-            if (out / name).exists():
-                os.replace(out / name, old / name)
-            if (fresh / name).exists():
-                os.replace(fresh / name, out / name)
-                placed.append(name)
-    except BaseException:
-        for name in placed:
-            os.unlink(out / name)
-        for path in old.iterdir():
-            os.replace(path, out / path.name)
-        raise
+    check_no_folder(Path(out), WRITTEN_FILES)

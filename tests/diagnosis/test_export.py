@@ -14,6 +14,7 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
+from bristle.common import output
 from bristle.common.errors import BristleError, IncompleteError
 from bristle.diagnosis import load_model
 from bristle.diagnosis.report import export
@@ -178,7 +179,7 @@ def test_an_exchange_that_fails_puts_all_back(answer, quick, tmp_path, monkeypat
             raise error
         real(source, target)
 
-    monkeypatch.setattr(export.os, "replace", failing)
+    monkeypatch.setattr(output.os, "replace", failing)
     with pytest.raises((BristleError, KeyboardInterrupt)) as caught:
         export.write(answer("named"), tmp_path)
     if isinstance(error, OSError):
@@ -192,7 +193,7 @@ def test_a_full_disk_changes_nothing(answer, quick, tmp_path, monkeypatch):
     def full(path, content):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(export, "write_file", full)
+    monkeypatch.setattr(output, "write_file", full)
     with pytest.raises(BristleError, match="No space left"):
         export.write(answer("named"), tmp_path)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"report.html": "old"}
