@@ -15,7 +15,8 @@ def number(value: object, digits: int = 4) -> str:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–"
     if value == 0 or 1e-3 <= abs(value) < 1e6:
-        text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+        rounded = f"{value:.{digits}g}"
+        text = rounded if abs(float(rounded)) < 10**digits else f"{value:.0f}"
     else:
         mantissa, exponent = f"{value:.{max(0, digits - 2)}e}".split("e")
         text = f"{mantissa}·10<sup>{int(exponent)}</sup>"
