@@ -145,14 +145,23 @@ def run(path: Path, out: Path, options: Options | None = None, progress: Progres
         return execute(check(path, out, options, progress), progress)
 
 
-def execute(checked: Checked, progress: Progress | None = None) -> Run:
-    """Run a scenario that is checked, and write its result folder."""
+@dataclass(frozen=True)
+class Outcome:
+    """A scenario that has run, before anything is written: result.json without the timing, signals, the validation."""
+
+    result: dict[str, Any]
+    view: View
+    validated: Validation | None
+    findings: tuple[str, ...] = ()  # as of `Run`
+
+
+def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
+    """Run a scenario that is checked, and judge it."""
     setup, clock, tell = checked.setup, checked.clock, progress or _no_progress
-    Thread(target=_load_drawing, daemon=True).start()
     with clock.stage("co-simulation"):
         trace = _simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps))
     with clock.stage("metrics"):
-        view = _View(setup, trace)
+        view = View(setup, trace)
         result = _measure(setup, trace, view) | {"provenance": _provenance(checked)}
     validated = None
     if setup.scenario.validation is not None and trace.failure is None:
@@ -161,11 +170,19 @@ def execute(checked: Checked, progress: Progress | None = None) -> Run:
             validated = _validate(setup, result, view, checked.lean)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
     findings = (*(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
-    with clock.stage("report"):
+    return Outcome(result, view, validated, findings)
+
+
+def execute(checked: Checked, progress: Progress | None = None) -> Run:
+    """Run a scenario that is checked, and write its result folder."""
+    setup, tell = checked.setup, progress or _no_progress
+    Thread(target=_load_drawing, daemon=True).start()
+    found = outcome(checked, progress)
+    with checked.clock.stage("report"):
         tell("report", 0, 0)
-        files = _files(setup, result, view, validated, clock, checked.options.full)
+        files = _files(setup, found, checked.clock, checked.options.full)
     folder = results.write(checked.out, setup.loaded.name, files)
-    return Run(result, folder, findings)
+    return Run(found.result, folder, found.findings)
 
 
 def _no_progress(stage: str, done: int, total: int) -> None:
@@ -182,7 +199,7 @@ def _simulate(bus: Bus, progress: Callable[[int], None] | None = None) -> Trace:
     return simulate_isolated(bus, progress) if bus.risky else simulate(bus, progress)
 
 
-class _View:
+class View:
     """The signals of a run, whether simulated or recorded, and the truth where it is known."""
 
     def __init__(self, setup: Setup, trace: Trace) -> None:
@@ -225,7 +242,7 @@ class _View:
         return found
 
 
-def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:
+def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
     """Return result.json without validation, verdict and timing."""
     fmus = {
         name: {"file": fmu.path.name, "sha256": fmu.sha256, "fmi": fmu.description.fmiVersion, "kind": fmu.kind}
@@ -259,7 +276,7 @@ def _measure(setup: Setup, trace: Trace, view: _View) -> dict[str, Any]:
     return result
 
 
-def _validate(setup: Setup, result: Mapping[str, Any], view: _View, fmus: Mapping[str, Fmu]) -> Validation:
+def _validate(setup: Setup, result: Mapping[str, Any], view: View, fmus: Mapping[str, Fmu]) -> Validation:
     second = _simulate(validation_bus(setup))
     if second.failure is not None:
         failure = second.failure
@@ -312,14 +329,13 @@ def _innovation_limit(setup: Setup) -> float:
     return float(setup.values["observer"].get(name, observer.start(name)))
 
 
-def _files(
-    setup: Setup, result: dict[str, Any], view: _View, validated: Validation | None, clock: _Clock, full: bool
-) -> dict[str, str | bytes]:
+def _files(setup: Setup, found: Outcome, clock: _Clock, full: bool) -> dict[str, str | bytes]:
     from bristle.harness.figures import draw
     from bristle.harness.report import render
 
     begin = time.perf_counter()
-    figures = draw(_pictures(result, view, validated))
+    result, view = found.result, found.view
+    figures = draw(_pictures(result, view, found.validated))
     columns = {"time": view.time, **view.signals, **view.observed}
     csv = results.to_csv(columns, full)
     scenario = setup.scenario
@@ -332,7 +348,7 @@ def _files(
     return {"result.json": to_json(result), "signals.csv": csv, "report.html": page, **files}
 
 
-def _pictures(result: Mapping[str, Any], view: _View, validated: Validation | None) -> Any:
+def _pictures(result: Mapping[str, Any], view: View, validated: Validation | None) -> Any:
     from bristle.harness.figures import Pictures
 
     late = slice(int((1 - LATE_FRICTION) * len(view.time)), None)
