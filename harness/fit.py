@@ -70,11 +70,12 @@ class Fit:
 
 
 class LeanModel:
-    """A lean plant FMU that predicts y from u, for many sets of parameters at once on all threads."""
+    """A lean plant FMU that predicts y from u, for many sets of parameters at once on all threads; `fixed` are not free."""
 
-    def __init__(self, law: str, fmu: Fmu) -> None:
-        self.law, self.free, self.fmu = law, LEAN_PARAMETERS[law], fmu
-        self._fixed = {"J": 1.0, "u_max": UNBOUNDED_U}
+    def __init__(self, law: str, fmu: Fmu, fixed: Mapping[str, float] | None = None) -> None:
+        self.law, self.fmu = law, fmu
+        self._fixed = {"J": 1.0, "u_max": UNBOUNDED_U, **(fixed or {})}
+        self.free = tuple(name for name in LEAN_PARAMETERS[law] if name not in self._fixed)
         names = [*self.free, *self._fixed, "v_start"]
         self._drives: list[Drive] = []
         self._pool = ThreadPoolExecutor(FIT_THREADS)
