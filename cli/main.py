@@ -1,4 +1,4 @@
-"""The command line: list, build, run, diagnose.
+"""The command line: list, build, run, reproduce, diagnose.
 
 Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an error, reported in one line.
 """
@@ -266,6 +266,23 @@ def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
         yield tell
 
 
+# -- reproduce -------------------------------------------------------------------------------------------------------
+
+
+@app.command(epilog="Exit code 0: every run is as it is expected to be; 1: one is not; 2: an error.")
+def reproduce(
+    out: Annotated[Path, typer.Option(help="folder for report.html, its figures and reproduce.json")],
+    debug: DebugOption = False,
+) -> None:
+    """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer, on one page."""
+    from bristle.harness.reproduce import reproduce as make
+
+    with _fraction("reproduce") as tell:
+        content = make(out, tell)
+    print(f"{content['verdict']}  {out / 'report.html'}", flush=True)
+    raise typer.Exit(PASS if content["verdict"] == "pass" else FAIL)
+
+
 # -- diagnose --------------------------------------------------------------------------------------------------------
 
 
@@ -405,7 +422,7 @@ def _explain(error: BaseException) -> str:
     if isinstance(error, BristleError):
         return f"bristle: {error}"
     if type(error).__name__ == "NoArgsIsHelpError":
-        return "bristle: no command; choose one of list, build, run, diagnose, or see bristle --help"
+        return "bristle: no command; choose one of list, build, run, reproduce, diagnose, or see bristle --help"
     if usage is not None:
         context = getattr(error, "ctx", None)
         command = "bristle" if context is None or context.parent is None else f"bristle {context.info_name}"

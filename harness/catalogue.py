@@ -33,11 +33,16 @@ def scenarios() -> dict[str, str]:
 def find_scenario(given: Path) -> Path:
     """Return the path of a scenario that is given by its path or, if it is one of `scenario_files`, by its name.
 
+    Those of `reproduce` are not listed; their names begin with the folder, as in `reproduce/printed`.
+
     Raises
     ------
     BristleError
         If a name, without folder and suffix, is neither a file nor such a scenario.
     """
+    if not given.is_file() and given.parent == Path("reproduce"):
+        shipped = Path(str(files("bristle.scenarios"))) / given.with_suffix(".toml")
+        return shipped if shipped.is_file() else given
     if given.is_file() or given.name != str(given) or given.suffix:
         return given
     known = scenario_files()

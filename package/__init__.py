@@ -5,6 +5,7 @@
     result = bristle.run("quick", out="out")                      # co-simulate a scenario
     found = bristle.diagnose("model.toml", ["a.csv", "b.csv"])    # what does the model lack?
     path = bristle.build("plant", "fmus", fmi=3)                  # an FMU for another tool
+    paper = bristle.reproduce("out")                              # the figures and numbers of the paper
 
 The functions do what the commands of the same names do. The rest of the library is imported when a function first needs it.
 """
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bristle.common.arguments import as_choice, as_names, as_path, as_paths, as_whole_number
 from bristle.common.errors import BristleError
-from bristle.result import Result
+from bristle.result import Reproduction, Result
 
 if TYPE_CHECKING:
     from bristle.diagnosis import Diagnosis, Model, Record
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "BristleError", "Diagnosis", "Model", "Record", "Result", "__version__", "build", "diagnose", "load_model", "load_record",
-    "load_records", "run",
+    "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "__version__", "build", "diagnose", "load_model",
+    "load_record", "load_records", "reproduce", "run",
 ]  # fmt: skip
 
 PathLike = str | os.PathLike[str]
@@ -101,6 +102,32 @@ def run(
     options = Options(as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS), _overrides(overrides), chosen)
     done = run_scenario(path, folder, options)
     return Result(done.result, done.folder)
+
+
+def reproduce(out: PathLike = "out", *, progress: Callable[[str, float], None] | None = None) -> Reproduction:
+    """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer, on one page.
+
+    Parameters
+    ----------
+    out : path, optional
+        Folder for reproduce.json, report.html and the figures; created if it is missing.
+    progress : callable, optional
+        Called with what is done now (text) and how much of the whole is done (0 to 1).
+
+    Returns
+    -------
+    Reproduction
+        Verdict, estimates, eq. (25) of all models, and the folder.
+
+    Raises
+    ------
+    BristleError
+        If an FMU cannot be built or the folder cannot be written. Nothing is written then.
+    """
+    from bristle.harness.reproduce import reproduce as make
+
+    folder = as_path("out", out)
+    return Reproduction(make(folder, progress), folder)
 
 
 def _overrides(given: object) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What `bristle.run` returns."""
+"""What `bristle.run` and `bristle.reproduce` return."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["Result"]
+__all__ = ["Reproduction", "Result"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,6 +92,60 @@ class Result:
         lines += [
             f"  {'ok    ' if check['pass'] else 'FAILED'} {check['name']}: {_number(check['value'])}" for check in self.checks
         ]
+        return "\n".join([*lines, f"  {self.report}"])
+
+
+@dataclass(frozen=True, repr=False)
+class Reproduction:
+    """The paper's figures and numbers beside ours: `print` shows eq. (25) of all models.
+
+    Attributes
+    ----------
+    data : mapping of str to object
+        The content of reproduce.json.
+    folder : pathlib.Path
+        The folder, with reproduce.json, report.html and the figures.
+    """
+
+    data: Mapping[str, Any] = field(compare=False)
+    folder: Path
+
+    @property
+    def verdict(self) -> str:
+        """``"pass"`` if all runs are as they are expected to be, else ``"fail"``."""
+        return str(self.data["verdict"])
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is pass."""
+        return self.verdict == "pass"
+
+    @property
+    def estimates(self) -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
+        """Of each plant and scheme the estimates by parameter, as in `Result.estimates`."""
+        found: Mapping[str, Mapping[str, Mapping[str, Any]]] = self.data["estimates"]
+        return found
+
+    @property
+    def eq25(self) -> Sequence[Mapping[str, Any]]:
+        """Eq. (25) of all models [%], an entry for each plant and order of the reference; None where there is none."""
+        found: Sequence[Mapping[str, Any]] = self.data["eq25"]
+        return found
+
+    @property
+    def report(self) -> Path:
+        """The page, one self-contained HTML file."""
+        return self.folder / "report.html"
+
+    def __repr__(self) -> str:
+        return f"<Reproduction: {self.verdict}, in {str(self.folder)!r}>"
+
+    def __str__(self) -> str:
+        columns = [name for name in self.eq25[0] if name in ("printed", "repaired", "best", "linear", "coulomb", "floor")]
+        lines = [f"{self.verdict}; eq. (25), %", f"  {'':<12}" + "".join(f"{name:>11}" for name in columns)]
+        for row in self.eq25:
+            values = "".join(f" {_number(row[name])}" for name in columns)
+            lines.append(f"  {row['plant'] + ', order ' + str(row['order']):<12}{values}")
         return "\n".join([*lines, f"  {self.report}"])
 
 

@@ -11,8 +11,8 @@ import pytest
 
 PUBLIC = {
     "bristle": [
-        "BristleError", "Diagnosis", "Model", "Record", "Result", "__version__", "build", "diagnose", "load_model", "load_record",
-        "load_records", "run",
+        "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "__version__", "build", "diagnose", "load_model",
+        "load_record", "load_records", "reproduce", "run",
     ],
     "bristle.common.errors": [
         "BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
@@ -46,7 +46,7 @@ PUBLIC = {
     "bristle.plant.signal_effects": ["SIGNAL_EFFECTS", "extension"],
     "bristle.plant.wording": ["ROTARY", "Wording"],
     "bristle.records": ["Column", "Layout", "Record", "Requirements", "read_record", "read_records", "records_from_arrays"],
-    "bristle.result": ["Result"],
+    "bristle.result": ["Reproduction", "Result"],
 }  # fmt: skip
 OFFERED_TO_USERS = ("bristle", "bristle.diagnosis", "bristle.fmus", "bristle.records")  # their docstrings have to be complete
 PARAMETERS = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", re.DOTALL | re.MULTILINE)
