@@ -14,6 +14,7 @@ import pytest
 
 from bristle import diagnosis
 from bristle.cli import main as cli
+from bristle.common import output
 from bristle.common.errors import BristleError
 from bristle.diagnosis.report import export
 
@@ -170,7 +171,7 @@ def test_an_answer_that_cannot_be_written_is_said(
     def full(path: Path, content: bytes) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(export, "write_file", full)
+    monkeypatch.setattr(output, "write_file", full)
     (tmp_path / "report.html").write_text("old")
     found = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path)
     one_line(found, "No space left")
