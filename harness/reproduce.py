@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,13 @@ from bristle.common.provenance import provenance
 from bristle.common.units import quantity
 from bristle.fmus.host import Fmu
 from bristle.harness.catalogue import find_scenario
-from bristle.harness.fit import Data, LeanModel
+from bristle.harness.fit import Data
 from bristle.harness.loop import Drive
-from bristle.harness.metrics import STATES
 from bristle.harness.paper import PAPER, PRINTED
 from bristle.harness.plan import Setup
 from bristle.harness.run import Checked, Options, Outcome, check, outcome
 from bristle.harness.scenario import load
-from bristle.harness.validation import MODEL_PARAMETERS, given_parameters, identified_model
+from bristle.harness.validation import MODEL_PARAMETERS, given_parameters, identified_model, score
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]  # what is done now, share that is done
@@ -73,13 +72,19 @@ class Prediction:
     remark: Remark | None = None
 
 
-@dataclass
-class Case:
-    """A scheme on a record: what of it the page shows. Arrays have shape (n,), in SI units."""
+class Key(NamedTuple):
+    """Which scheme on which record."""
 
     scheme: str
     plant: str
     order: int
+
+
+@dataclass
+class Case:
+    """A scheme on a record: what of it the page shows. Arrays have shape (n,), in SI units."""
+
+    key: Key
     result: dict[str, Any]
     source: Path
     method: str
@@ -90,6 +95,7 @@ class Case:
     last: Mapping[str, float]  # the estimates published last
     sample_time: Array  # of the reference, in the window of Fig. 3
     reference: Array
+    second: Data | None  # the second record
     validation_time: Array  # in the window of Fig. 6
     measured: Array
     predictions: Mapping[str, Array]
@@ -101,7 +107,7 @@ class Case:
 class Comparison:
     """Everything on the page."""
 
-    cases: dict[tuple[str, str, int], Case]  # by scheme, plant, order
+    cases: dict[Key, Case]
     curves: dict[str, tuple[Array, Array]]  # velocity and level of friction over inertia of L0: the plant's and the schemes'
     content: dict[str, Any]  # reproduce.json
     share: float = 1.0
@@ -154,10 +160,16 @@ def reproduce(out: Path, tell: Tell | None = None, *, share: float = 1.0) -> dic
 
 def compute(say: Tell, share: float = 1.0) -> Comparison:
     """Run all scenarios and return what the page shows."""
-    wanted = [(s, p, o) for p in TEST_PLANTS for o in FILTER_ORDERS for s in SCHEMES]
-    cases: dict[tuple[str, str, int], Case] = {}
+    schemes = sorted(SCHEMES, key=lambda scheme: scheme != BASELINE_SCHEME)  # it comes first: all are scored on its second record
+    wanted = [Key(scheme, plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS for scheme in schemes]
+    cases: dict[Key, Case] = {}
     for k, key in enumerate(wanted):
-        cases[key] = _case(*key, share, lambda text, k=k: say(text, k / (len(wanted) + 1)))  # type: ignore[misc]
+
+        def tell(text: str, share_done: float = k / (len(wanted) + 1)) -> None:
+            say(text, share_done)
+
+        baseline = cases.get(Key(BASELINE_SCHEME, key.plant, key.order))
+        cases[key] = _case(key, share, tell, None if baseline is None else baseline.second)
     say("gate", len(wanted) / (len(wanted) + 1))
     heuristic = _run(find_scenario(Path(HEURISTIC)), ())[1].result["estimates"]["vc"]["final"]
     curves = _curves(cases)
@@ -197,60 +209,51 @@ def _shortened(path: Path, share: float) -> list[str]:
     return [f"{name}={round(share * seconds, 3)} s" for name, seconds in lengths.items()]
 
 
-def _case(scheme: str, plant: str, order: int, share: float, say: Callable[[str], None]) -> Case:
-    path = scenario_path(scheme, plant)
+def _case(key: Key, share: float, say: Callable[[str], None], second: Data | None) -> Case:
+    path, order = scenario_path(key.scheme, key.plant), key.order
     own = [] if order == FILTER_ORDERS[0] else [f"controller.parameters.order={order}"]
     checked, found = _run(path, [*own, *_shortened(path, share)], lambda text: say(f"order {order}, {text}"))
-    setup, view = checked.setup, found.view
-    method = str(setup.scenario.observer.method)
-    window, validated = _inside(view.time, "reference_window", share), found.validated
-    kept = thin(len(view.time), 3000)
-    shown = np.zeros(0, dtype=np.intp) if validated is None else _inside(validated.time, "validation_window", share)
-    nothing, prediction = np.zeros(0), _predicted(checked, found)
+    setup, view, validated = checked.setup, found.view, found.validated
+    if second is None and validated is not None:
+        second = Data(validated.voltage, validated.measured, setup.h)
+    window, kept = _inside(view.time, "reference_window", share), thin(len(view.time), 3000)
+    seconds, measured = (np.zeros(0), np.zeros(0)) if second is None else (np.arange(len(second.y)) * second.h, second.y)
+    shown = _inside(seconds, "validation_window", share)
+    prediction = _predicted(checked, found, second)
     predictions = {} if validated is None else {name: values[shown] for name, values in validated.predictions.items()}
     if prediction.velocity is not None:
         predictions["model"] = prediction.velocity[shown]
+    published = {name: course.hat for name, course in view.published.items()}
     return Case(
-        scheme, plant, order, found.result, path, method, setup.values["plant"], _parameter(setup, "step2_start") or 0.0,
-        view.time[kept], {name: hat[kept] for name, hat in _published(found).items()},
-        {name: float(hat[-1]) for name, hat in _published(found).items()},
+        key, found.result, path, str(setup.scenario.observer.method), setup.values["plant"],
+        _parameter(setup, "step2_start") or 0.0,
+        view.time[kept], {name: hat[kept] for name, hat in published.items()},
+        {name: float(hat[-1]) for name, hat in published.items()},
         view.time[window], view.signals["reference"][window],
-        nothing if validated is None else validated.time[shown], nothing if validated is None else validated.measured[shown],
-        predictions, replace(prediction, velocity=None),
-        {key: _all_parameters(setup, names) for key, names in GAINS.items()},
+        second, seconds[shown], measured[shown], predictions, replace(prediction, velocity=None),
+        {name: _all_parameters(setup, parameters) for name, parameters in GAINS.items()},
     )  # fmt: skip
 
 
-def _predicted(checked: Checked, found: Outcome) -> Prediction:
+def _predicted(checked: Checked, found: Outcome, second: Data | None) -> Prediction:
     """Score what an observer published last, as the paper does, whether the observer itself trusts it or not.
 
     Where these numbers make no model that can be simulated, what step 1 found (alpha2, b, Fc) is scored alone.
     """
-    setup, validated, estimates = checked.setup, found.validated, found.result["estimates"]
-    published = {name: float(hat[-1]) for name, hat in _published(found).items()}
-    if validated is None:
-        return Prediction(remark=Remark("none", found.result["diverged"]["message"]))
-    last = {name: {"valid": True, "final": value} for name, value in published.items()}
+    setup, estimates, failed = checked.setup, found.result["estimates"], found.result.get("diverged")
+    last = {name: {"valid": True, "final": float(course.hat[-1])} for name, course in found.view.published.items()}
     known = given_parameters(setup, setup.values["observer"])
-    model = identified_model(last, known, checked.lean)
-    remark = None
-    if model.problem is not None:
-        remark = Remark("step1", model.problem)
+    model, remark = identified_model(last, known, checked.lean), None
+    if failed is not None or model.problem is not None:
+        why = model.problem if failed is None else f"diverged at {failed['time_s']:.4g} s: {failed['message']}"
+        remark = Remark("step1", str(why))
         model = identified_model({name: last[name] for name in STEP1_ESTIMATES if name in last}, known, checked.lean)
     elif not all(estimates.get(name, {}).get("valid") for name in MODEL_PARAMETERS[str(model.law)].values() if name in last):
         remark = Remark("invalid", "the observer calls these estimates not valid")
-    if model.law is None or model.problem is not None:
-        return Prediction(remark=Remark("none", str(model.problem)))
-    second = Data(validated.voltage, validated.measured, setup.h)
-    with LeanModel(model.law, checked.lean[model.law]) as lean:
-        score, velocity = lean.score(second, model.parameters)
-    return Prediction(model.law, model.parameters, score if math.isfinite(score) else None, velocity, remark)
-
-
-def _published(found: Outcome) -> dict[str, Array]:
-    """Return the estimates that a method has; those that it has not are 0 all the time."""
-    hats = {name.removesuffix("_hat"): values for name, values in found.view.observed.items() if name.endswith("_hat")}
-    return {name: values for name, values in hats.items() if name not in STATES and np.any(values)}
+    if model.law is None or model.problem is not None or second is None:
+        return Prediction(remark=Remark("none", str(model.problem or "there is no second record")))
+    mse, velocity = score(second, model, checked.lean)
+    return Prediction(model.law, model.parameters, mse if math.isfinite(mse) else None, velocity, remark)
 
 
 def _inside(times: Array, key: str, share: float) -> NDArray[np.intp]:
@@ -275,16 +278,16 @@ def _all_parameters(setup: Setup, names: Sequence[str]) -> list[float] | None:
 # -- Figure 1 --------------------------------------------------------------------------------------------------------
 
 
-def _curves(cases: Mapping[tuple[str, str, int], Case]) -> dict[str, tuple[Array, Array]]:
+def _curves(cases: Mapping[Key, Case]) -> dict[str, tuple[Array, Array]]:
     """Return the friction curves of Fig. 1: the original law's, and what each scheme found."""
     first = FILTER_ORDERS[0]
-    lugre = cases[BASELINE_SCHEME, "L0", first].values
+    lugre = cases[Key(BASELINE_SCHEME, "L0", first)].values
     inertia = float(lugre["J"])
     stiff = {"lugre.sigma0": STIFFER * float(lugre["lugre.sigma0"]) / inertia, "lugre.vs": float(lugre["lugre.vs"])}
     stiff |= {name: float(lugre[name]) / inertia for name in ("lugre.Fc", "lugre.Fs")}
     curves = {"plant": friction_curve("lugre", stiff)}
     for scheme in SCHEMES:
-        model = cases[scheme, "L0", first].model
+        model = cases[Key(scheme, "L0", first)].model
         if model.law == "modified":
             curves[scheme] = friction_curve("modified", _stiffer(model.parameters))
     return curves
@@ -295,7 +298,8 @@ def _stiffer(parameters: Mapping[str, float]) -> dict[str, float]:
 
     Source: dixit2008 eq. (18): the level depends on sigma_i / c alone.
     """
-    return {name: STIFFER * value for name, value in parameters.items() if name.startswith("modified.") and name != "modified.tau"}
+    own = {name: value for name, value in parameters.items() if name.startswith("modified.") and name != "modified.tau"}
+    return {name: value if name == "modified.width" else STIFFER * value for name, value in own.items()}
 
 
 def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Array]:
@@ -334,22 +338,23 @@ def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Ar
 # -- numbers ---------------------------------------------------------------------------------------------------------
 
 
-def _content(cases: Mapping[tuple[str, str, int], Case], heuristic: float, share: float) -> dict[str, Any]:
+def _content(cases: Mapping[Key, Case], heuristic: float, share: float) -> dict[str, Any]:
     """Return reproduce.json."""
     first = FILTER_ORDERS[0]
-    runs = [_run_entry(case) for case in cases.values()]
-    judged = [case.result for (_, _, order), case in cases.items() if order == first]
+    order_shown = [Key(scheme, plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS for scheme in SCHEMES]
+    runs = [_run_entry(cases[key]) for key in order_shown]
+    judged = [case.result for key, case in cases.items() if key.order == first]
     content: dict[str, Any] = {
         "verdict": "pass" if all(result["verdict"] == "pass" for result in judged) else "fail",
         "paper": PAPER,
         "share": share,
         "printed": {key: _printed_entry(key) for key in PRINTED},
         "estimates": {
-            plant: {scheme: _estimates(cases[scheme, plant, first]) for scheme in SCHEMES} for plant in TEST_PLANTS
+            plant: {scheme: _estimates(cases[Key(scheme, plant, first)]) for scheme in SCHEMES} for plant in TEST_PLANTS
         },
-        "step2_start_s": {scheme: cases[scheme, "S", first].begin for scheme in SCHEMES},
-        "methods": {scheme: cases[scheme, "S", first].method for scheme in SCHEMES},
-        "gains": {key: {scheme: _gain(cases[scheme, "S", first], key) for scheme in SCHEMES} for key in GAINS},
+        "step2_start_s": {scheme: cases[Key(scheme, "S", first)].begin for scheme in SCHEMES},
+        "methods": {scheme: cases[Key(scheme, "S", first)].method for scheme in SCHEMES},
+        "gains": {key: {scheme: _gain(cases[Key(scheme, "S", first)], key) for scheme in SCHEMES} for key in GAINS},
         "vc_heuristic_deg_s": math.degrees(heuristic),
         "eq25": [_eq25(cases, plant, order) for plant in TEST_PLANTS for order in FILTER_ORDERS],
         "remark3": _remark3(cases),
@@ -384,38 +389,39 @@ def _gain(case: Case, key: str) -> list[float] | None:
 
 def _run_entry(case: Case) -> dict[str, Any]:
     return {
-        "scheme": case.scheme, "plant": case.plant, "order": case.order, "scenario": f"reproduce/{case.source.stem}",
+        **case.key._asdict(), "scenario": f"reproduce/{case.source.stem}",
         "scenario_sha256": hashlib.sha256(case.source.read_bytes()).hexdigest(), "overrides": case.result["overrides"],
         "verdict": case.result["verdict"], "diverged": case.result.get("diverged"), "checks": case.result["checks"],
     }  # fmt: skip
 
 
-def _eq25(cases: Mapping[tuple[str, str, int], Case], plant: str, order: int) -> dict[str, Any]:
+def _eq25(cases: Mapping[Key, Case], plant: str, order: int) -> dict[str, Any]:
     """Return eq. (25) of all models on the validation record of a plant and an order, and why one has none."""
     row: dict[str, Any] = {"plant": plant, "order": order} | dict.fromkeys(COMPARED)
     for scheme in SCHEMES:
-        row[scheme] = cases[scheme, plant, order].model.mse_percent
-    fitted = cases[BASELINE_SCHEME, plant, order].result.get("validation")
+        row[scheme] = cases[Key(scheme, plant, order)].model.mse_percent
+    fitted = cases[Key(BASELINE_SCHEME, plant, order)].result.get("validation")
     if fitted is not None:
         row |= {name: fitted[f"{name}_mse_percent"] for name in ("linear", "coulomb", "floor")}
         row["rms_velocity"] = fitted["rms_velocity"]
-    remarks = {scheme: cases[scheme, plant, order].model.remark for scheme in SCHEMES}
+    remarks = {scheme: cases[Key(scheme, plant, order)].model.remark for scheme in SCHEMES}
     return row | {"remarks": {scheme: vars(remark) for scheme, remark in remarks.items() if remark is not None}}
 
 
-def _remark3(cases: Mapping[tuple[str, str, int], Case]) -> dict[str, Any]:
+def _remark3(cases: Mapping[Key, Case]) -> dict[str, Any]:
     """Return the interval of c of remark 3 for L0, 1/(a0 + a1) < c < 1/a0, and the c of the fits and the schemes.
 
     Source: dixit2008 section III remark 3 and eq. (10).
     """
-    plant = cases[BASELINE_SCHEME, "L0", FILTER_ORDERS[0]].values
+    plant = cases[Key(BASELINE_SCHEME, "L0", FILTER_ORDERS[0])].values
     stiffness, low, high = (float(plant[f"lugre.{name}"]) for name in ("sigma0", "Fs", "Fc"))
     found = []
     for order in FILTER_ORDERS:
         row: dict[str, Any] = {"order": order}
         for scheme in SCHEMES:
-            row[scheme] = cases[scheme, "L0", order].last.get("c")
-        fits = cases[BASELINE_SCHEME, "L0", order].result.get("validation", {}).get("fits", {})
+            case = cases[Key(scheme, "L0", order)]
+            row[scheme] = None if "diverged" in case.result else case.last.get("c")
+        fits = cases[Key(BASELINE_SCHEME, "L0", order)].result.get("validation", {}).get("fits", {})
         row["floor"] = fits["floor"]["parameters"]["modified.c"] if "floor" in fits else None
         found.append(row)
     return {"plant": "L0", "unit": "1/rad", "interval": [stiffness / low, stiffness / high], "c": found}

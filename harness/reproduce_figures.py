@@ -26,7 +26,7 @@ from bristle.common.drawing import (
 )
 from bristle.harness.figures import MODEL_COLOURS, MODEL_LABELS, PLAIN_SYMBOLS
 from bristle.harness.paper import PRINTED
-from bristle.harness.reproduce import FILTER_ORDERS, LETTERS, SCHEMES, Case, Comparison
+from bristle.harness.reproduce import FILTER_ORDERS, LETTERS, SCHEMES, Case, Comparison, Key
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def draw(found: Comparison) -> dict[str, str]:
 
 
 def _case(found: Comparison, scheme: str, plant: str = "S", order: int = FILTER_ORDERS[0]) -> Case:
-    return found.cases[scheme, plant, order]
+    return found.cases[Key(scheme, plant, order)]
 
 
 # -- eq. (25) --------------------------------------------------------------------------------------------------------
@@ -195,7 +195,8 @@ def _validation(found: Comparison) -> Any:
         row_of = found.content["eq25"][0]
         score = row_of["linear" if model == "linear" else scheme]
         set_title(top, title)
-        set_title(top, "no prediction" if score is None else f"eq. (25): {score:.2g} %", loc="right", fontsize=8.5)
+        alone = "α₂, b, Fc alone, " if model == "model" and case.model.remark and case.model.remark.kind == "step1" else ""
+        set_title(top, "no prediction" if score is None else f"{alone}eq. (25): {score:.2g} %", loc="right", fontsize=8.5)
         top.set_ylim(*PRINTED["validation_range"].values)
         low.set_ylim(-120, 120)
         for ax in (top, low):

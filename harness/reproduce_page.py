@@ -32,8 +32,8 @@ SHORT = {
     "none": "no model",
 }  # what a cell of eq. (25) says
 REASONS = {
-    "step1": "<i>alpha2, b, F<sub>c</sub> alone</i>: the estimates of step 2 at the end make no model that can be simulated "
-    "(c is negative, so that friction would grow without limit), and what step 1 found is scored without them.",
+    "step1": "<i>alpha2, b, F<sub>c</sub> alone</i>: step 2 diverged, or its estimates at the end make no model that can be "
+    "simulated (c is negative, so that friction would grow without limit); what step 1 found is scored without them.",
     "invalid": "<i>called not valid</i>: the observer itself says that these estimates are not valid, because its innovations "
     "are larger than its sensor explains: it has noticed that the plant is not its model. The paper has no such measure; the "
     "estimates are scored all the same.",
@@ -75,8 +75,8 @@ simulated, on a plant that has the parameters which the paper found, and on one 
 
 def _scheme(name: str, content: Mapping[str, Any]) -> str:
     about = {
-        "printed": "the scheme of section IV with its gains, gate, basis and zero starts, velocity and voltage in units of a "
-        "degree; the velocity is exact",
+        "printed": "the scheme of section IV with its gains, gate, basis and zero starts, its estimate of the velocity set to ±vc "
+        "where the gate opens, and no normalisation; velocity and voltage in units of a degree, the velocity exact",
         "repaired": "the same two steps with gains that fit the units, a gate of its own, a matrix gain and a normalised step; "
         "the velocity is exact",
         "best": "all parameters at once from the encoder's counts alone",
@@ -132,8 +132,8 @@ def _eq25(content: Mapping[str, Any]) -> str:
     head = ("record", *(LETTERS[s] for s in SCHEMES), "linear, no friction", "viscous + Coulomb", "floor")
     legend = (
         "<p>Eq. (25) in %; in the paper 4 to 6 %. Linear, Coulomb and floor are fitted to the first record, the floor with the "
-        "model of (15), (17) and bristle damping: what no observer of this model can be expected to beat. Of set S, whose model "
-        "is exact, the floor is only digits.</p>"
+        "model of (15), (17) and bristle damping. Where the plant is not that model (set L0), (c) may come below it: it estimates "
+        "the width of the Stribeck curve as well. Of set S, whose model is exact, the floor is only digits.</p>"
     )
     return table(head, rows, range(1, 7)) + legend + "".join(f"<p>{text}</p>" for text in reasons.values())
 

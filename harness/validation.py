@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.fmus.host import Fmu, Value
-from bristle.harness.fit import Data, Fit, LeanModel, fit
+from bristle.harness.fit import LEAN_PARAMETERS, Data, Fit, LeanModel, fit
 from bristle.harness.plan import Setup
 
 Array = NDArray[np.float64]
@@ -20,12 +20,12 @@ Array = NDArray[np.float64]
 MODEL_PARAMETERS = {
     "modified": {
         "b": "b", "a2": "alpha2", "modified.sigma0": "sigma0", "modified.sigma1": "sigma1", "modified.sigma2": "sigma2",
-        "modified.c": "c", "modified.tau": "tau",
+        "modified.c": "c", "modified.tau": "tau", "modified.width": "width",
     },
     "coulomb": {"b": "b", "a2": "alpha2", "coulomb.Fc": "Fc"},
     "viscous": {"b": "b", "a2": "alpha2"},
 }  # fmt: skip
-ZERO_IF_UNKNOWN = ("tau",)  # estimates that count as 0 where the observer has none
+NOMINAL = {"tau": 0.0, "width": 1.0}  # what counts where the observer has no estimate of it
 BASELINES = {"linear": "viscous", "coulomb": "coulomb", "floor": "modified"}  # name of each baseline: law that is fitted
 
 
@@ -85,10 +85,10 @@ def identified_model(estimates: Mapping[str, Mapping[str, Any]], known: Mapping[
     """
     have = dict(known) | {name: e["final"] for name, e in estimates.items() if e["valid"] and math.isfinite(e["final"])}
     for law, names in MODEL_PARAMETERS.items():
-        missing = [name for name in names.values() if name not in have and name not in ZERO_IF_UNKNOWN]
+        missing = [name for name in names.values() if name not in have and name not in NOMINAL]
         if missing:
             continue
-        values = {parameter: have.get(name, 0.0) for parameter, name in names.items()}
+        values = {parameter: have[name] if name in have else NOMINAL[name] for parameter, name in names.items()}
         for parameter, value in values.items():
             low, high = fmus[law].interval(parameter)
             if not low <= value <= high:
@@ -143,18 +143,22 @@ def validate(identification: Data, second: Data, identified: Identified, fmus: M
     for name, law in BASELINES.items():
         if baselines:
             wanted.setdefault(law, []).append(name)
-    if identified.law is not None and identified.problem is None:
-        wanted.setdefault(identified.law, []).append("model")
     result = Validation(
         np.asarray(np.arange(len(second.y)) * second.h), second.y, second.u, {}, identified, {}, {"model": math.nan}
     )
     for law, names in wanted.items():
         with LeanModel(law, fmus[law]) as model:
             for name in names:
-                if name == "model":
-                    parameters = identified.parameters
-                else:
-                    result.fits[name] = fit(model, identification)
-                    parameters = result.fits[name].parameters
-                result.scores[name], result.predictions[name] = model.score(second, parameters)
+                result.fits[name] = fit(model, identification)
+                result.scores[name], result.predictions[name] = model.score(second, result.fits[name].parameters)
+    if identified.law is not None and identified.problem is None:
+        result.scores["model"], result.predictions["model"] = score(second, identified, fmus)
     return result
+
+
+def score(data: Data, identified: Identified, fmus: Mapping[str, Fmu]) -> tuple[float, Array]:
+    """Return eq. (25) and the prediction of an identified model that has a law and no problem."""
+    law, parameters = str(identified.law), identified.parameters
+    fixed = {name: value for name, value in parameters.items() if name not in LEAN_PARAMETERS[law]}
+    with LeanModel(law, fmus[law], fixed) as model:
+        return model.score(data, parameters)

@@ -83,8 +83,8 @@ def test_the_printed_percentage_is_what_no_friction_reaches(
     assert coulomb[0] < found["coulomb"] < coulomb[1]
     assert 0.8 * found["linear"] < found["printed"] < 1.4 * found["linear"]
     assert found["repaired"] < 0.2 * found["coulomb"]
-    assert found["best"] < 0.5 * found["coulomb"]
-    assert found["floor"] <= min(found["repaired"], found["best"])
+    assert found["best"] < 0.02 * found["coulomb"]
+    assert found["floor"] < found["repaired"]
 
 
 @pytest.mark.slow
@@ -107,6 +107,7 @@ def test_remark_3_holds_for_all_but_the_printed_gains(whole: dict[str, Any]) -> 
     assert (low, high) == pytest.approx((1000 / 9, 200.0))
     for row in whole["remark3"]["c"]:
         assert all(low < row[name] < high for name in ("repaired", "best", "floor"))
+        assert row["printed"] is None or not low < row["printed"] < high
 
 
 @pytest.mark.slow
