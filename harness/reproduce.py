@@ -217,7 +217,8 @@ def _case(key: Key, share: float, say: Callable[[str], None], second: Data | Non
     if second is None and validated is not None:
         second = Data(validated.voltage, validated.measured, setup.h)
     window, kept = _inside(view.time, "reference_window", share), thin(len(view.time), 3000)
-    seconds, measured = (np.zeros(0), np.zeros(0)) if second is None else (np.arange(len(second.y)) * second.h, second.y)
+    measured: Array = np.zeros(0) if second is None else second.y
+    seconds: Array = np.arange(len(measured)) * setup.h
     shown = _inside(seconds, "validation_window", share)
     prediction = _predicted(checked, found, second)
     predictions = {} if validated is None else {name: values[shown] for name, values in validated.predictions.items()}
