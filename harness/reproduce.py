@@ -218,7 +218,7 @@ def _case(key: Key, share: float, say: Callable[[str], None], second: Data | Non
         second = Data(validated.voltage, validated.measured, setup.h)
     window, kept = _inside(view.time, "reference_window", share), thin(len(view.time), 3000)
     measured: Array = np.zeros(0) if second is None else second.y
-    seconds: Array = np.arange(len(measured)) * setup.h
+    seconds: Array = np.asarray(np.arange(len(measured)) * setup.h)
     shown = _inside(seconds, "validation_window", share)
     prediction = _predicted(checked, found, second)
     predictions = {} if validated is None else {name: values[shown] for name, values in validated.predictions.items()}
