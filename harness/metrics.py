@@ -252,6 +252,8 @@ def validity_checks(result: Mapping[str, Any], most: float) -> list[Check]:
     must be valid; of a method that is given those, all that it estimates.
     """
     checks = [Check(name="adapted", quantity="adapted", min=1)]
+    if not result["adapted"]:  # the rest is that of the start
+        return checks
     if result["innovation"] is not None:
         checks.append(Check(name="innovation", quantity="innovation", max=most))
     found = list(result["estimates"])
