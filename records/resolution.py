@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import stats
 
 from bristle.common.table import Array
 
@@ -48,11 +47,12 @@ def noise_step(values: Array) -> float:
     """Return the step of a sensor whose rounding would be as noisy as the white noise of these values.
 
     The variance of differences of order k of white noise is binomial(2k, k) times that of the noise; that of rounding is a twelfth
-    of the square of its step. The median deviation takes no notice of the few samples in which a motion has corners.
+    of the square of its step. The mean deviation takes little notice of the few samples in which a motion has corners, and that of
+    rounded values is not itself rounded.
     Source: hall1990 (noise from differences); widrow2008 chapter 1 (rounding).
     """
     differences = np.diff(values, NOISE_ORDER)
     if not len(differences):
         return 0.0
-    noise = float(stats.median_abs_deviation(differences, scale="normal")) / math.sqrt(math.comb(2 * NOISE_ORDER, NOISE_ORDER))
-    return math.sqrt(12.0) * noise
+    deviation = math.sqrt(math.pi / 2) * float(np.mean(np.abs(differences)))  # standard deviation of normal values
+    return math.sqrt(12.0 / math.comb(2 * NOISE_ORDER, NOISE_ORDER)) * deviation

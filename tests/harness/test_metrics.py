@@ -143,6 +143,7 @@ RESULT_OF_RECORD = {"adapted": True, "innovation": 1.0, "estimates": {n: {"valid
         ({"estimates": {"alpha2": {"valid": False}, "b": {"valid": True}}}, ["alpha2 valid"]),
         ({"estimates": {"vc": {"valid": True}, "c": {"valid": False}}}, ["c valid"]),
         ({"adapted": False, "estimates": {}}, ["adapted"]),
+        ({"adapted": False, "innovation": 9.0, "estimates": {"c": {"valid": False}}}, ["adapted"]),  # a start value
     ],
 )
 def test_without_checks_a_record_is_judged_by_what_the_observer_says(changed: dict[str, object], failed: list[str]) -> None:

@@ -219,7 +219,7 @@ def test_noise_counts_as_the_step_of_a_sensor() -> None:
     motion = np.sin(3 * time)
     noise = np.random.default_rng(1).normal(size=len(time))
     assert noise_step(motion + 1e-3 * noise) == pytest.approx(1e-3 * math.sqrt(12), rel=0.03)
-    assert noise_step(np.floor(motion / 1e-4) * 1e-4) == pytest.approx(1e-4, rel=0.1)
+    assert noise_step(np.floor(motion / 1e-4) * 1e-4) == pytest.approx(1e-4, rel=0.05)
     assert noise_step(motion) < 1e-12
     assert noise_step(motion[:4]) == 0.0
 
