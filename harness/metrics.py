@@ -61,7 +61,6 @@ CHECK_QUANTITIES = {
 }
 
 BASIC = ("alpha2", "b")  # estimates on which all others rest
-CONSISTENT_INNOVATION = 4.0  # mean squared innovation over what an observer claims, up to which it counts as consistent
 _NAMES = re.compile("PARAMETER|STATE|BASELINE")
 STATES = ("v", "w")  # whose true values a plant of bristle gives
 
@@ -245,16 +244,16 @@ def check_unit(result: Mapping[str, Any], path: str) -> str:
     return str(own or "1") if unit.startswith("of the") else unit
 
 
-def validity_checks(result: Mapping[str, Any], most: float) -> list[Check]:
+def validity_checks(result: Mapping[str, Any], most: float | None) -> list[Check]:
     """Return what is demanded of a record where the user demands nothing: that the observer itself says that it holds.
 
-    It must have adapted, its innovations must be at most `most` times what it claims, and alpha2 and b, on which all others rest,
-    must be valid; of a method that is given those, all that it estimates.
+    It must have adapted, its innovations must be at most `most` times what it claims, if it has such a limit, and alpha2 and b, on
+    which all others rest, must be valid; of a method that is given those, all that it estimates.
     """
     checks = [Check(name="adapted", quantity="adapted", min=1)]
     if not result["adapted"]:  # the rest is that of the start
         return checks
-    if result["innovation"] is not None:
+    if most is not None:
         checks.append(Check(name="innovation", quantity="innovation", max=most))
     found = list(result["estimates"])
     needed = [name for name in BASIC if name in found] or found

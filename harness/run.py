@@ -321,11 +321,11 @@ def _judge(result: dict[str, Any], setup: Setup) -> list[str]:
     return [line]
 
 
-def _innovation_limit(setup: Setup) -> float:
-    """Return up to which innovation the estimates count: the observer's own limit, if its method has one."""
+def _innovation_limit(setup: Setup) -> float | None:
+    """Return up to which innovation the estimates count, None if the method has no such limit: its deviations then grow with it."""
     observer, name = setup.fmus["observer"], f"{setup.scenario.observer.method}.innovation_limit"
     if not observer.has(name, "parameter"):
-        return metrics.CONSISTENT_INNOVATION
+        return None
     return float(setup.values["observer"].get(name, observer.start(name)))
 
 

@@ -139,7 +139,6 @@ RESULT_OF_RECORD = {"adapted": True, "innovation": 1.0, "estimates": {n: {"valid
         ({}, []),
         ({"adapted": False}, ["adapted"]),
         ({"innovation": 4.1}, ["innovation"]),
-        ({"innovation": None}, []),
         ({"estimates": {"alpha2": {"valid": False}, "b": {"valid": True}}}, ["alpha2 valid"]),
         ({"estimates": {"vc": {"valid": True}, "c": {"valid": False}}}, ["c valid"]),
         ({"adapted": False, "estimates": {}}, ["adapted"]),
@@ -150,6 +149,8 @@ def test_without_checks_a_record_is_judged_by_what_the_observer_says(changed: di
     result = {**RESULT_OF_RECORD, **changed}
     lines = metrics.judge(result, metrics.validity_checks(result, 4.0))
     assert [line["name"] for line in lines if not line["pass"]] == failed
+    without = metrics.judge(result, metrics.validity_checks(result, None))  # a method without a limit, whose deviations grow
+    assert [line["name"] for line in without if not line["pass"]] == [name for name in failed if name != "innovation"]
 
 
 def test_every_limit_is_a_line_of_its_own() -> None:

@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from bristle.common.units import parse_unit
-from bristle.harness.metrics import CONSISTENT_INNOVATION
 from bristle.harness.plan import Setup, find_fmus, identification, prepare
 from bristle.harness.rig import NORMAL_INPUT, NORMAL_SPEED, Rig, normalising
 from bristle.harness.run import Options, Run, run
@@ -297,8 +296,11 @@ def test_innovations_beyond_the_claim_fail(axis: dict[str, Array], tmp_path: Pat
     done = run(scenario(tmp_path, axis, text), tmp_path / "out")
     assert not done.passed
     innovation = next(check for check in done.result["checks"] if check["name"] == "innovation")
-    assert innovation["limit"] == CONSISTENT_INNOVATION
-    assert innovation["value"] == done.result["innovation"] > CONSISTENT_INNOVATION
+    assert innovation["value"] == done.result["innovation"] > innovation["limit"] == 4.0
+    wide = run(
+        scenario(tmp_path, axis, text + "[observer.parameters]\nself_starting_ekf.innovation_limit = 1e9\n"), tmp_path / "out"
+    )
+    assert next(check for check in wide.result["checks"] if check["name"] == "innovation")["limit"] == 1e9
     assert "its mean squared innovation is" in done.findings[-1]
 
 
