@@ -12,6 +12,7 @@ from bristle.model.variables import Namespace, Parameter, State
 __all__ = ["Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth"]
 
 SX = ca.SX
+BRISTLE_DAMPING = "bristle damping; above N(v)/v, the level over the speed, friction leads where it should lag"  # of sigma1
 NEGLIGIBLE = 0.05  # share of Coulomb friction: Stribeck effect that may remain at the speeds that step 1 uses
 
 

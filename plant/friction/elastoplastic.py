@@ -7,7 +7,7 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters, stribeck_truth
+from bristle.plant.law import BRISTLE_DAMPING, Friction, FrictionLaw, stribeck_curve, stribeck_parameters, stribeck_truth
 
 
 def plasticity(z: ca.SX, v: ca.SX, elastic: ca.SX, plastic: ca.SX) -> ca.SX:
@@ -41,7 +41,7 @@ LAW = FrictionLaw(
     equations,
     parameters=(
         Parameter("elastoplastic.sigma0", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "bristle stiffness", _SOURCE),
-        Parameter("elastoplastic.sigma1", "sigma1", "N.m.s/rad", 0.02, 0.0, 1e6, "bristle damping", _SOURCE),
+        Parameter("elastoplastic.sigma1", "sigma1", "N.m.s/rad", 0.002, 0.0, 1e6, BRISTLE_DAMPING, _SOURCE),
         Parameter("elastoplastic.share", "z_ba/z_ss", "1", 0.7, 0.0, 0.999, "break-away over least steady deflection", _SOURCE),
         *stribeck_parameters("elastoplastic", _SOURCE),
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter
-from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_parameters
+from bristle.plant.law import BRISTLE_DAMPING, Friction, FrictionLaw, stribeck_curve, stribeck_parameters
 from bristle.plant.maxwell import MAXWELL_ELEMENTS, MAXWELL_SHARES, element, memory, stiffnesses
 
 PLACES = range(1, MAXWELL_ELEMENTS + 1)
@@ -40,7 +40,7 @@ LAW = FrictionLaw(
     parameters=(
         *stribeck_parameters("leuven", _SOURCE),
         Parameter("leuven.n", "n", "1", 2.0, 1.0, 20.0, "exponent of the transition to sliding", _SOURCE),
-        Parameter("leuven.sigma1", "sigma1", "N.m.s/rad", 0.02, 0.0, 1e6, "damping of the deflection", _SOURCE),
+        Parameter("leuven.sigma1", "sigma1", "N.m.s/rad", 0.002, 0.0, 1e6, BRISTLE_DAMPING, _SOURCE),
         *stiffnesses("leuven", _SOURCE),
         *(
             Parameter(f"leuven.W{i}", f"W{i}", "N.m", share * _LEVEL, 0.0, 1e6, f"force at which element {i} slips", _SOURCE)

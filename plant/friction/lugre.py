@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.plant.law import Friction, FrictionLaw, stribeck_curve, stribeck_truth
+from bristle.plant.law import BRISTLE_DAMPING, Friction, FrictionLaw, stribeck_curve, stribeck_truth
 
 
 def bristles(p: Namespace, v: ca.SX, sigma1: ca.SX) -> Friction:
@@ -34,7 +34,7 @@ LAW = FrictionLaw(
     equations,
     parameters=(
         Parameter("lugre.sigma0", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "bristle stiffness", "dixit2008 eq. (8)"),
-        Parameter("lugre.sigma1", "sigma1", "N.m.s/rad", 0.0, 0.0, 1e6, "bristle damping", "dixit2008 eq. (8)"),
+        Parameter("lugre.sigma1", "sigma1", "N.m.s/rad", 0.0, 0.0, 1e6, BRISTLE_DAMPING, "dixit2008 eq. (8)"),
         Parameter("lugre.Fc", "sigma0 a0", "N.m", 0.004, 1e-9, 1e6, "Coulomb friction", "dixit2008 eq. (10)"),
         Parameter("lugre.Fs", "sigma0 (a0 + a1)", "N.m", 0.0072, 1e-9, 1e6, "static friction", "dixit2008 eq. (10)"),
         Parameter("lugre.vs", "v0", "rad/s", 0.4363323129985824, 1e-6, 1e3, "Stribeck velocity", "dixit2008 eq. (10)"),

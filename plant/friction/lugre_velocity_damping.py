@@ -6,7 +6,7 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.friction.lugre import bristles
-from bristle.plant.law import Friction, FrictionLaw, stribeck_parameters
+from bristle.plant.law import BRISTLE_DAMPING, Friction, FrictionLaw, stribeck_parameters
 
 
 def equations(p: Namespace, v: ca.SX) -> Friction:
@@ -27,7 +27,7 @@ LAW = FrictionLaw(
     equations,
     parameters=(
         Parameter(f"{_NAME}.sigma0", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "bristle stiffness", _SOURCE),
-        Parameter(f"{_NAME}.sigma1", "sigma1", "N.m.s/rad", 0.02, 0.0, 1e6, "bristle damping at rest", _SOURCE),
+        Parameter(f"{_NAME}.sigma1", "sigma1", "N.m.s/rad", 0.02, 0.0, 1e6, f"at rest, {BRISTLE_DAMPING}", _SOURCE),
         Parameter(f"{_NAME}.vd", "vd", "rad/s", 0.5, 1e-6, 1e3, "velocity over which the damping fades", _SOURCE),
         *stribeck_parameters(_NAME, _SOURCE),
     ),

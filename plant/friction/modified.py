@@ -13,6 +13,7 @@ from bristle.plant.law import NEGLIGIBLE, Friction, FrictionLaw
 SX = ca.SX
 
 CITATION = "dixit2008 eq. (17)"
+_TAU = "bristle damping over stiffness; above 1/(c v), v the speed, friction leads where it should lag"
 _DEFAULTS = {"gaussian": (600.0, 800.0, 300.0), "polynomial": (1000.0, -60.0, 2.0)}  # sigma0, sigma1, sigma2
 
 
@@ -55,7 +56,7 @@ def modified(name: str, family: str, basis: Callable[[SX, int], list[SX]], count
         parameters=(
             *sigma,
             Parameter(f"{name}.c", "c", "1/rad", 150.0, 1e-6, 1e9, "inverse presliding distance", "dixit2008 eq. (17)"),
-            Parameter(f"{name}.tau", "tau", "s", 0.0, 0.0, 10.0, "bristle damping over stiffness", "dixit2008 eq. (11)"),
+            Parameter(f"{name}.tau", "tau", "s", 0.0, 0.0, 10.0, _TAU, "dixit2008 eq. (11)"),
             *([width_parameter(name)] if family == "gaussian" else []),
         ),
         states=(State("w", "rad/s2", "friction acceleration without the viscous part", scale=lambda p: p.sigma0 / p.c),),
