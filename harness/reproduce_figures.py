@@ -26,7 +26,7 @@ from bristle.common.drawing import (
 )
 from bristle.harness.figures import MODEL_COLOURS, MODEL_LABELS, PLAIN_SYMBOLS
 from bristle.harness.paper import PRINTED
-from bristle.harness.reproduce import FILTER_ORDERS, LETTERS, SCHEMES, Case, Comparison, Key
+from bristle.harness.reproduce import BASELINE_SCHEME, FILTER_ORDERS, LETTERS, SCHEMES, Case, Comparison, Key
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def _eq25(found: Comparison) -> Any:
 def _stribeck(found: Comparison) -> Any:
     figure = new_figure(11.0, 3.9)
     ax = figure.subplots()
-    plant = _case(found, "repaired", "L0").values
+    plant = _case(found, BASELINE_SCHEME, "L0").values
     level = {name: float(plant[f"lugre.{name}"]) / float(plant["J"]) for name in ("Fs", "Fc")}
     v0 = float(plant["lugre.vs"]) * DEGREES
     for name, text in (("Fs", "a₀ + a₁"), ("Fc", "a₀")):
@@ -117,7 +117,7 @@ def _reference(found: Comparison) -> Any:
     axes = figure.subplots(1, len(FILTER_ORDERS), sharey=True)
     figure.subplots_adjust(wspace=0.08)
     for ax, order in zip(axes, FILTER_ORDERS, strict=True):
-        case = _case(found, "printed", order=order)
+        case = _case(found, BASELINE_SCHEME, order=order)
         ax.plot(case.sample_time, case.reference * DEGREES, color=INK, linewidth=1.1)
         set_title(ax, f"order {order}: {'one section' if order == 1 else 'two sections'} of 5 rad/s")
         ax.set_xlim(*found.window("reference_window"))
@@ -182,7 +182,7 @@ def _marks(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
 def _validation(found: Comparison) -> Any:
     """Draw measured and predicted velocity, a panel for each scheme and one for the linear model, and the errors below."""
     panels = [(scheme, "model", LETTERS[scheme], SCHEME_COLOURS[scheme]) for scheme in SCHEMES]
-    panels.append(("repaired", "linear", "fitted linear model, no friction", MODEL_COLOURS["linear"]))
+    panels.append((BASELINE_SCHEME, "linear", "fitted linear model, no friction", MODEL_COLOURS["linear"]))
     figure = new_figure(11.0, 7.4)
     grid = figure.add_gridspec(5, 2, height_ratios=[2.0, 0.9, 0.42, 2.0, 0.9], hspace=0.12, wspace=0.08)
     first, last = found.window("validation_window")

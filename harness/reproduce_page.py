@@ -26,6 +26,7 @@ HERE = {
 }
 GAIN_UNITS = {"vc": "deg/s", "c1": "1/s", "gamma": "1", "k0": "1", "lambda": "1/s"}
 UNUSED = "not used"
+FROM_RECORD = "from the speed so far"  # a gate that the method chooses
 SHORT = {
     "step1": "alpha2, b, F<sub>c</sub> alone",
     "invalid": "called not valid",
@@ -179,7 +180,7 @@ def _settings(content: Mapping[str, Any]) -> str:
     rows = []
     for key, found in content["gains"].items():
         printed = PRINTED[key]
-        cells = ["–" if key == "vc" and scheme == "best" else _several(found[scheme]) or UNUSED for scheme in SCHEMES]
+        cells = [FROM_RECORD if key == "vc" and found[scheme] == [0.0] else _several(found[scheme]) or UNUSED for scheme in SCHEMES]
         rows.append((escape(printed.meaning), _unbroken(printed.place), _several(printed.values), unit(GAIN_UNITS[key]), *cells))
     head = ("", "place", "printed", "unit", *(LETTERS[scheme] for scheme in SCHEMES))
     heuristic = number(content["vc_heuristic_deg_s"], 3)
