@@ -124,6 +124,10 @@ class Fmu:
         variable = self.variables[name]
         return str(variable.unit or (variable.declaredType and variable.declaredType.unit) or "1")
 
+    def meaning(self, name: str) -> str:
+        """Return the description of a variable, empty if it has none."""
+        return str(self.variables[name].description or "")
+
     def choices(self, name: str) -> dict[str, int]:
         """Return the items of an Enumeration."""
         variable = self.variables.get(name)

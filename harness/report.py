@@ -13,7 +13,14 @@ from bristle.harness.metrics import check_unit
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ",
          "a0": "a<sub>0</sub>", "a1": "a<sub>1</sub>", "v0": "v<sub>0</sub>"}  # fmt: skip
-BANDS = "Light blue: ±2 standard deviations, if the observer gives any. Grey and dashed: not valid. First excursions are cut off."
+BANDS = (
+    "Light blue: ±2 standard deviations, if the observer gives any. Grey and dashed: not valid. "
+    "The vertical axis does not show the largest initial excursions."
+)
+ERRORS = (
+    "Errors and changes in percent of the true value. Settled: the last time at which the error exceeds 5 %; "
+    "never, if it exceeds it at the end."
+)
 CAPTIONS = {
     "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band. "
                   "Dotted green: the last time the error leaves the band. Above each: final error and that time. " + BANDS),
@@ -51,19 +58,26 @@ def _checks(result: Mapping[str, Any]) -> str:
     return table(("check", "value", "limit", "unit", ""), rows, (1, 2))
 
 
-def _estimates(result: Mapping[str, Any]) -> str:
+def _named(name: str, meanings: Mapping[str, str]) -> str:
+    """Return the symbol of an estimate and what it means, in the words of the observer's FMU."""
+    meaning = meanings.get(name, "").removeprefix("estimate of ")
+    return f"<i>{GREEK.get(name, escape(name))}</i>" + (f'<div class="sub">{escape(meaning)}</div>' if meaning else "")
+
+
+def _estimates(result: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
     """Return the table of the estimates; on a record, of which no true value is known, without errors."""
     if not result["estimates"]:
         return "<p>The observer gave no estimate.</p>"
-    errors = () if "record" in result else ("true", "error, %", "settled after, s", "moved, %")
+    errors = () if "record" in result else ("true", "error, %", "settled after, s", "largest change from the first value, %")
     rows = []
     for name, e in result["estimates"].items():
         state = badge("good", "valid") if e["valid"] else badge("bad", "not valid" if e["adapted"] else "not adapted")
-        cells = [f"<i>{GREEK.get(name, escape(name))}</i>", unit(e["unit"]), number(e["final"], 5), number(e["sd"], 2), state]
+        cells = [_named(name, meanings), unit(e["unit"]) or "1", number(e["final"], 5), number(e["sd"], 2), state]
         rows.append(cells + ([number(e["true"]), number(e["error_percent"], 3), _settled(e), number(e["moved_percent"], 3)]
                              if errors else []))  # fmt: skip
     head = ("parameter", "unit", "final", "standard deviation", "", *errors)
-    return _innovation(result) + table(head, rows, (2, 3, 5, 6, 7, 8))
+    legend = f'<p class="sub">{ERRORS}</p>' if errors else ""
+    return _innovation(result) + table(head, rows, (2, 3, 5, 6, 7, 8)) + legend
 
 
 def _settled(estimate: Mapping[str, Any]) -> str:
@@ -82,15 +96,15 @@ def _innovation(result: Mapping[str, Any]) -> str:
     return f"<p>Mean squared innovation of late, over what the observer claims it to be: {number(result['innovation'], 3)}.</p>"
 
 
-def _states(result: Mapping[str, Any]) -> str:
+def _states(result: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
     states = result.get("states") or {}
     if not states:
         return ""
-    rows = [(f"<i>{escape(n)}</i>", unit(s["unit"]), number(s["rms"], 3), number(s["late_rms"], 3), number(s["late_percent"], 3))
+    rows = [(_named(n, meanings), unit(s["unit"]), number(s["rms"], 3), number(s["late_rms"], 3), number(s["late_percent"], 3))
             for n, s in states.items()]  # fmt: skip
-    return "<h2>State estimates</h2>" + table(
-        ("state", "unit", "rms error", "in the last tenth", "% of its spread"), rows, (2, 3, 4)
-    )
+    late = "rms error in the last tenth of the run"
+    head = ("state", "unit", "rms error", late, f"{late}, % of the standard deviation of the state")
+    return "<h2>State estimates</h2>" + table(head, rows, (2, 3, 4))
 
 
 def _validation(result: Mapping[str, Any]) -> str:
@@ -156,7 +170,9 @@ def _provenance(result: Mapping[str, Any]) -> str:
     return f"<dl>{''.join(rows)}</dl>"
 
 
-def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping[str, str], source: str) -> str:
+def render(
+    result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping[str, str], meanings: Mapping[str, str], source: str
+) -> str:
     """Return the page.
 
     Parameters
@@ -167,6 +183,8 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
         SVG text by name.
     about : mapping of str to str
         title, shows, source and limits of the scenario.
+    meanings : mapping of str to str
+        What each estimate of the observer means.
     source : str
         Text of the scenario file.
     """
@@ -184,8 +202,8 @@ def render(result: Mapping[str, Any], figures: Mapping[str, str], about: Mapping
 <p class="lead">{escape(about.get("shows", ""))}</p><p class="sub">{simulated}</p></header>
 {notes}
 <h2>Verdict</h2>{_checks(result)}
-<h2>Estimates</h2>{_estimates(result)}
-{_states(result)}
+<h2>Estimates</h2>{_estimates(result, meanings)}
+{_states(result, meanings)}
 {_figures(result, figures)}
 <h2>About this scenario</h2><dl>{about_rows}</dl>{changed}
 <details><summary>The scenario file</summary><pre>{escape(source)}</pre></details>

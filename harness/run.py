@@ -344,7 +344,9 @@ def _files(setup: Setup, found: Outcome, clock: _Clock, full: bool) -> dict[str,
     result["timing"] = {name: round(seconds, 4) for name, seconds in clock.seconds.items()}
     result["wall_s"] = round(math.fsum(clock.seconds.values()), 4)
     files: dict[str, str | bytes] = {f"{name}.svg": svg for name, svg in figures.items()}
-    page = render(plain(result), figures, about, setup.loaded.text)
+    observer = setup.fmus["observer"]
+    meanings = {name.removesuffix("_hat"): observer.meaning(name) for name in observer.names("output") if name.endswith("_hat")}
+    page = render(plain(result), figures, about, meanings, setup.loaded.text)
     return {"result.json": to_json(result), "signals.csv": csv, "report.html": page, **files}
 
 

@@ -173,6 +173,10 @@ def test_report_is_one_self_contained_file(finished: Run) -> None:
     for word in (
         "A title with <angle brackets> & more",
         "What it shows.",
+        "viscous friction over inertia",
+        "largest change from the first value, %",
+        "rms error in the last tenth of the run",
+        "does not show the largest initial excursions",
         "baseline is worse than the floor",
         "viscous + Coulomb",
         "pass",
