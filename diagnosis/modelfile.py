@@ -170,7 +170,7 @@ class _File:
         return mistake(self.where, key, value, message)
 
     def full_name(self, key: str, name: str, value: object) -> str:
-        """Return a parameter's name as the servo knows it: Fc becomes coulomb.Fc."""
+        """Return a parameter's full name in the servo: Fc becomes coulomb.Fc."""
         for full in (name, f"{self.law.name}.{name}"):
             if full in self.names:
                 return full

@@ -18,13 +18,14 @@ IMAGES = ROOT / "docs" / "images"
 SCENARIO = "repaired_two_step"
 CASE = ROOT / "scenarios" / "hidden" / "07"
 SHOWN = 2.0  # s of the record in which the model without the effect is worst
-TRUE, BEFORE, AFTER, INK = "#9a9a9a", "#c8553d", "#1f6f8b", "#222222"
+TRUE, BEFORE, AFTER = "#9a9a9a", "#c8553d", "#1f6f8b"
+WIDTH, TEXT, TICKS = 7.2, 9, 8.5  # inches, points, points: legible where a narrow page shrinks the picture
 
 
 def write(figure: Figure, name: str) -> None:
     """Write a figure as PNG with few colours."""
     picture = io.BytesIO()
-    figure.savefig(picture, dpi=120)
+    figure.savefig(picture, dpi=150)
     Image.open(picture).convert("RGB").quantize(64).save(IMAGES / name, optimize=True)
 
 
@@ -33,20 +34,20 @@ def run() -> None:
     with tempfile.TemporaryDirectory() as out:
         result = bristle.run(ROOT / "scenarios" / f"{SCENARIO}.toml", out)
         signals = result.signals()
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
     axes = figure.subplots(2, 4).ravel()
     for axis, (name, found) in zip(axes, result.estimates.items(), strict=False):
         axis.axhline(found["true"], color=TRUE, lw=2.5, label="true value")
         axis.plot(signals["time"], signals[f"{name}_hat"], color=AFTER, lw=1.1, label="estimate")
-        axis.set_title(f"{name} [{found['unit']}]: error {found['error_percent']:.2g} %", fontsize=8, loc="left")
+        axis.set_title(f"{name} [{found['unit']}]\nerror {found['error_percent']:.2g} %", fontsize=TEXT, loc="left")
         low, high = sorted((0.0, 1.6 * found["true"]))
         axis.set(ylim=(low, high), xlim=(0, signals["time"][-1]))
-        axis.tick_params(labelsize=7)
+        axis.tick_params(labelsize=TICKS)
         axis.spines[["top", "right"]].set_visible(False)
     for axis in axes[len(result.estimates) :]:
         axis.axis("off")
-        axis.legend(*axes[0].get_legend_handles_labels(), loc="center", fontsize=9, frameon=False)
-    figure.supxlabel("time [s]", fontsize=8)
+        axis.legend(*axes[0].get_legend_handles_labels(), loc="center", fontsize=TEXT, frameon=False)
+    figure.supxlabel("time [s]", fontsize=TEXT)
     write(figure, f"{SCENARIO}.png")
 
 
@@ -57,33 +58,33 @@ def diagnosis() -> None:
     count = round(SHOWN / float(np.median(np.diff(trace.time))))
     error = np.convolve(np.nan_to_num(np.square(trace.before - trace.measured)), np.ones(count), "valid")
     part = slice(int(np.argmax(error)), int(np.argmax(error)) + count)
-    figure = Figure(figsize=(9.0, 3.0), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=[1.5, 1.5, 1])
     left.plot(trace.time[part], trace.measured[part], color=TRUE, lw=3.5, label="measured")
     for values, colour, label in (
-        (trace.before, BEFORE, "model as given, refitted"),
-        (trace.after, AFTER, "with the effect found"),
+        (trace.before, BEFORE, "model refitted, without the effect"),
+        (trace.after, AFTER, "model refitted, with the effect found"),
     ):
         left.plot(trace.time[part], values[part], color=colour, lw=1.2, label=label)
         middle.plot(trace.time[part], 1e3 * (values - trace.measured)[part], color=colour, lw=1.2)
     left.set(xlabel="time [s]", ylabel="position [rad]")
-    left.legend(fontsize=7, frameon=False)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=TEXT, frameon=False)
     middle.set(xlabel="time [s]", ylabel="error [mrad]")
     [effect] = found.effects
     bars = {
-        "model\nas given": found.gap.before,
+        "without\nthe effect": found.gap.before,
         f"with\n{effect.name}": found.gap.after,
         "noise\nfloor": found.gap.noise_floor or 0.0,
     }
     heights = [1e3 * square**0.5 for square in bars.values()]
     right.bar(list(bars), heights, color=[BEFORE, AFTER, TRUE])
     for place, height in enumerate(heights):
-        right.annotate(f"{height:.2g}", (place, height), ha="center", va="bottom", fontsize=8)
+        right.annotate(f"{height:.2g}", (place, height), ha="center", va="bottom", fontsize=TEXT)
     right.set(ylabel="rms error, held-out segments [mrad]")
     for axis in (left, middle, right):
-        axis.tick_params(labelsize=7)
-        axis.xaxis.label.set_size(8)
-        axis.yaxis.label.set_size(8)
+        axis.tick_params(labelsize=TICKS)
+        axis.xaxis.label.set_size(TEXT)
+        axis.yaxis.label.set_size(TEXT)
         axis.spines[["top", "right"]].set_visible(False)
     write(figure, "diagnosis_hidden_07.png")
 

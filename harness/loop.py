@@ -196,7 +196,7 @@ class Node:
         return _Unit(component, *map(address, names), 3 if three else 2, len(self.inputs), len(self.outputs), *arrays)
 
     def place(self, name: str) -> tuple[Array, int]:
-        """Return the array and the index at which a variable lives."""
+        """Return the array that holds a variable, and its index in it."""
         if name in self.inputs:
             return self.input, self.inputs.index(name)
         return self.output, self.outputs.index(name)

@@ -1,4 +1,4 @@
-"""The clockwork around generated functions, in plain Python: the twin of model/c/core.c, with the same digits.
+"""Time stepping around generated functions, in plain Python: the twin of model/c/core.c, with the same digits.
 
 It imports nothing but math and copy, so that it can be put inside an FMU beside the functions it drives.
 """
@@ -31,7 +31,7 @@ class CoreError(RuntimeError):
 
 
 class Core:
-    """State of one instance: the variables `v` and the clockwork.
+    """State of one instance: the variables `v`, the time and the length of the internal steps.
 
     Parameters
     ----------

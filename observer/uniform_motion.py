@@ -50,7 +50,7 @@ METHOD = Method(
     "y_v",
     (
         Parameter("uniform_motion.window", "T_w", "s", 0.3, 1e-3, 1e3, "over which the velocity is averaged", CITATION),
-        Parameter("uniform_motion.patience", "T_s", "s", 3.0, 0.0, 1e6, "shortest step that is judged", CITATION),
+        Parameter("uniform_motion.patience", "T_s", "s", 3.0, 0.0, 1e6, "shortest step of the input that counts", CITATION),
         Parameter("uniform_motion.tolerance", "epsilon", "1", 0.05, 0.0, 1.0, "spread over mean of uniform motion", CITATION),
         Parameter("uniform_motion.least_speed", "v_0", "rad/s", 0.05, 0.0, 1e3, "speed below which it rests", CITATION),
     ),

@@ -349,7 +349,7 @@ def arrange(effects: Sequence[E]) -> list[E]:
 
 
 class Effects:
-    """The effects of one servo at work: its slots in turn, each with what the servo knows at that point."""
+    """The effects of one servo at work: its slots in turn, each with what is computed up to that point."""
 
     def __init__(self, system: System, effects: Sequence[Extension], theta: SX, v: SX) -> None:
         self._system, self._effects = system, effects

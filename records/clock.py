@@ -28,7 +28,7 @@ def increasing(raw: Raw) -> None:
     steps = np.diff(raw.time)
     if (steps < 0).any():
         k = int(np.argmax(steps < 0)) + 1
-        seen = f"time falls back at sample {k}, from {raw.time[k - 1]:.9g} to {raw.time[k]:.9g} s"
+        seen = f"time decreases at sample {k}, from {raw.time[k - 1]:.9g} to {raw.time[k]:.9g} s"
         raise raw.error(f"{seen}; sort the record, or split it there if it holds two runs")
     again = np.flatnonzero(steps == 0) + 1
     if len(again):

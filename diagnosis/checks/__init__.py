@@ -1,3 +1,3 @@
-"""What the records excite, and whether model and data speak of the same thing."""
+"""What the records excite, and whether model and data agree in columns, units and signs."""
 
 __all__: list[str] = []

@@ -51,7 +51,7 @@ def test_starts_from_data_lead_to_the_truth(case, name):
 
 
 def test_a_step_with_a_large_predicted_gain_is_shortened_until_it_achieves_some(case):
-    """From the starts of this one every full step fails; given up there, the share of the load would stay where it began."""
+    """From the starts of this one every full step fails; ended there, the share of the load would stay where it began."""
     given = {"share": 0.4, "stiffness": 60.0, "damping": 0.02}
     found = joined(case("compliance", **given), "compliance").fit
     for key, value in given.items():
@@ -230,7 +230,7 @@ def free_play(case):
 
 
 def test_a_load_with_free_play_is_found_from_a_wrong_play_and_stiffness(free_play):
-    """Steps along derivatives keep the load at the side where it lay; laid anew in each segment, it leads to the truth."""
+    """Steps along derivatives leave the load at its side of the play; chosen again in each segment, it leads to the true values."""
     backlash, first = free_play
     steps = resume(under_own_noise(backlash.dataset, first), first)
     found = refit_load(steps, partial(under_own_noise, backlash.dataset))

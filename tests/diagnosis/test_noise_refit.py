@@ -112,12 +112,12 @@ def test_a_model_that_diverges_is_fitted_from_less_dry_friction_too(diverged: bo
     """Dry friction holds an axis where a missing torque would; steps end where it sticks."""
     free, begun = (Free("J", 1e-4, 1e-2), Free("coulomb.Fc", 0.0, 0.6)), []
 
-    def settle(stand: Any, servo: Any, values: dict[str, float]) -> SimpleNamespace:
+    def converge(stand: Any, servo: Any, values: dict[str, float]) -> SimpleNamespace:
         begun.append(values)
         found = {"J": 1e-3, "coulomb.Fc": 0.1}
         return SimpleNamespace(servo=servo, fit=SimpleNamespace(total=100.0 * len(begun), values=found))
 
-    monkeypatch.setattr(fitting, "fit_with_noise", settle)
+    monkeypatch.setattr(fitting, "fit_with_noise", converge)
     judged(monkeypatch, diverged=diverged, models=[])
     dataset: Any = None
     servo: Any = SimpleNamespace(free=free)

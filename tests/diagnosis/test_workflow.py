@@ -69,7 +69,7 @@ REFUSED: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
     "constant input": (lambda c: (c[0], 0.1 + 0 * c[1], c[2]), "input is constant", "give a record in which it varies"),
     "no motion": (lambda c: (c[0], c[1], 0 * c[2]), "nothing moves", "give a record with motion"),
     "NaN": (lambda c: (c[0], np.where(np.arange(len(c[1])) == 500, np.nan, c[1]), c[2]), "input is not finite", "repair"),
-    "time runs back": (lambda c: (np.where(c[0] < 5, c[0], c[0] - 1), c[1], c[2]), "time falls back", "sort the record"),
+    "time runs back": (lambda c: (np.where(c[0] < 5, c[0], c[0] - 1), c[1], c[2]), "time decreases", "sort the record"),
     "milliseconds": (lambda c: (c[0] * 1e3, c[1], c[2]), "sampled every 1 s", "unit right (ms, us)"),
 }
 
@@ -145,7 +145,7 @@ def test_a_bound_that_explains_the_gap_is_proposed_in_place_of_an_effect(call: C
     assert (answer["verdict"], answer["effects"]) == ("not_identifiable", [])
     [proposal] = answer["proposals"]
     assert re.search(r"J near 0\.0(099\d|10) kg\.m2, outside its bounds \[0\.007, 0\.009\]", proposal)
-    assert answer["rounds"]  # effects were looked for
+    assert answer["rounds"]  # effects were tried
     assert answer["statement"][0].startswith("Effects explain these records, but they only make up for bounds")
     assert answer["gap"]["before"] == answer["gap"]["after"]
     assert "First widen the bounds" in answer["page"]

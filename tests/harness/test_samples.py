@@ -122,7 +122,7 @@ def test_every_bad_record_is_one_line(tmp_path: Path, read: Callable[..., Sample
     gap[100:] += 0.01
     cases: list[tuple[Path, list[str]]] = [
         (write_csv(tmp_path / "gap.csv", t=gap), ["a gap of 0.012 s after sample 99 (0.198 s)", "cut the record there"]),
-        (write_csv(tmp_path / "back.csv", t=replaced(TIME, 50, 0.0)), ["time falls back at sample 50", "sort the record"]),
+        (write_csv(tmp_path / "back.csv", t=replaced(TIME, 50, 0.0)), ["time decreases at sample 50", "sort the record"]),
         (write_csv(tmp_path / "twice.csv", t=np.round(TIME, 2)), ["time stamps repeat", "more digits"]),
         (write_csv(tmp_path / "nan.csv", volt=replaced(U, 7, np.nan)), ["input is not finite at sample 7", "cut the record"]),
         (write_csv(tmp_path / "name.csv", "t,volts,pos,speed"), ["input: no column 'volt'", "did you mean 'volts'"]),

@@ -1,4 +1,4 @@
-"""Sampling, modes and communication steps: the same clockwork in C, in Python and around CasADi's arithmetic."""
+"""Sampling, modes and communication steps: the same time stepping in C, in Python and around CasADi's arithmetic."""
 
 import math
 

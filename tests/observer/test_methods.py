@@ -1,4 +1,4 @@
-"""What every observer method promises, and what each one finds on records made in this process."""
+"""Properties of every observer method, and the errors of each on records made in this process."""
 
 from __future__ import annotations
 

@@ -234,8 +234,8 @@ def test_nearly_the_same_rate_is_the_same(layout):
         (lambda t, u, y: (t / 1000, u, y), ["sampled every 1e-06 s", "[time] unit"]),
         (lambda t, u, y: (t / 101, u, y), ["sampled every 9.90099e-06 s; allowed are 1e-05"]),
         (lambda t, u, y: (t / 100, u, y), ["lasts 0.05999 s", "[time] unit"]),  # 1e-5 s, as far as a float can tell
-        (lambda t, u, y: (t[::-1], u, y), ["falls back at sample 1", "sort"]),
-        (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["falls back at sample 3001", "two runs"]),
+        (lambda t, u, y: (t[::-1], u, y), ["decreases at sample 1", "sort"]),
+        (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["decreases at sample 3001", "two runs"]),
         (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
         (lambda t, u, y: (t + 0.8 * H * (np.arange(N) % 2), u, y), ["scatter by 63%", "steady clock"]),
         (lambda t, u, y: (np.where(np.arange(N) == 70, np.nan, t), u, y), ["time is not finite at sample 70"]),
