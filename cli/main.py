@@ -5,6 +5,7 @@ Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an er
 
 from __future__ import annotations
 
+import difflib
 import os
 import signal
 import sys
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from bristle.harness.run import Checked, Options, Run
 
 PASS, FAIL, ERROR = 0, 1, 2
+LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -132,7 +134,7 @@ def build(
 @app.command()
 def run(
     scenarios: Annotated[list[Path], typer.Argument(help="scenario files, or names from bristle list", metavar="SCENARIO...")],
-    out: Annotated[Path, typer.Option(help="folder for the results")],
+    out: Annotated[Path, typer.Option(help="folder for the results")] = Path("out"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
@@ -294,7 +296,7 @@ def reproduce(
 )
 def diagnose(
     data: Annotated[list[Path], typer.Option(help="measured record; give it once for each file (two or more are best)")],
-    out: Annotated[Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model")],
+    out: Annotated[Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model")] = Path("out"),
     model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml")] = None,
     fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu")] = None,
     choose: Annotated[str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME")] = None,
@@ -423,6 +425,9 @@ def _explain(error: BaseException) -> str:
         return f"bristle: {error}"
     if type(error).__name__ == "NoArgsIsHelpError":
         return "bristle: no command; choose one of list, build, run, reproduce, diagnose, or see bristle --help"
+    if type(error).__name__ == "NoSuchOption":  # click also proposes options that are hardly alike
+        name, known = getattr(error, "option_name", ""), getattr(error, "possibilities", None) or []
+        error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]
     if usage is not None:
         context = getattr(error, "ctx", None)
         command = "bristle" if context is None or context.parent is None else f"bristle {context.info_name}"

@@ -70,6 +70,8 @@ def _unreadable(path: Path, error: Exception) -> BristleError:
 def _read_csv(path: Path) -> Columns:
     with path.open(newline="", encoding="utf-8-sig") as stream:
         first, above = _header(stream)
+        if not first.strip():
+            raise BristleError(f"record {path}: is empty; write the column names in the first line and numbers below")
         # spreadsheets also write semicolons or tabs between columns
         separator = next((mark for mark in SEPARATORS if mark in first), ",")
         header = [name.strip() for name in next(csv.reader([first.lstrip("# ")], delimiter=separator), [])]
@@ -125,7 +127,7 @@ def _read_rows(path: Path, separator: str, width: int, above: int) -> Array:
                 hint = "write a decimal point" if comma else "keep only numbers below the header"
                 raise BristleError(f"record {path}: line {line}: '{word}' is no number; {hint}") from None
     if not rows:
-        raise BristleError(f"record {path}: no data below a header line; write the column names in the first line")
+        raise BristleError(f"record {path}: no data below the line of column names; write numbers there")
     return np.array(rows)
 
 

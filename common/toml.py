@@ -30,6 +30,8 @@ class InUnit:
 
 def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario file")."""
+    if path.is_dir():
+        raise BristleError(f"{path}: is a folder; give a {what}")
     try:
         text = path.read_text(encoding="utf-8-sig")
         return text, tomllib.loads(text)

@@ -9,7 +9,7 @@ from functools import cache
 
 from bristle.common.errors import BristleError
 
-__all__ = ["Unit", "convert", "parse_unit", "per_second", "quantity"]
+__all__ = ["Unit", "convert", "interval", "parse_unit", "per_second", "quantity"]
 
 BASE = ("kg", "m", "s", "A", "rad")  # the SI base units (and rad) that FMI's BaseUnit has and servo models need
 
@@ -99,6 +99,12 @@ def convert(value: float, unit: str, si_unit: str) -> float:
     return value * (have.factor / want.factor)
 
 
+def interval(low: float, high: float, unit: str = "1") -> str:
+    """Return an interval as text, ``[0, 40]`` or ``[0.1, 2] rad/s``, with all digits of an end that is a whole number."""
+    ends = (f"{end:.0f}" if float(end).is_integer() and float(f"{end:g}") != end else f"{end:g}" for end in (low, high))
+    return f"[{', '.join(ends)}]" + ("" if unit == "1" else f" {unit}")
+
+
 def quantity(given: str | float | int, si_unit: str) -> float:
     """Read a physical value such as ``"75 deg/s"`` and return it in `si_unit`.
 
@@ -120,6 +126,7 @@ def quantity(given: str | float | int, si_unit: str) -> float:
         raise BristleError(f"'{given}' is not finite; write a number with a unit such as \"1 {si_unit}\"")
     if not unit.strip():
         if si_unit != "1":
-            raise BristleError(f"'{given}' has no unit (missing unit); write \"{number} {si_unit}\"")
+            right = f'"{number} {si_unit}"' if value >= 0 else f'a unit behind the number, such as "1 {si_unit}"'
+            raise BristleError(f"'{given}' has no unit (missing unit); write {right}")
         return value
     return convert(value, unit.strip(), si_unit)

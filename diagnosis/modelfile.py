@@ -12,8 +12,9 @@ from pydantic import Field, ValidationError
 
 from bristle.common.arguments import as_path
 from bristle.common.errors import BristleError, suggest
+from bristle.common.table import READERS
 from bristle.common.toml import first_mistake, mistake, quoted, read_toml
-from bristle.common.units import parse_unit, quantity
+from bristle.common.units import interval, parse_unit, quantity
 from bristle.model.variables import Parameter
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -129,6 +130,8 @@ def load_model(path: Path | str) -> Model:
         One line that names file, key, value and what is allowed.
     """
     path = as_path("model", path)
+    if path.suffix.lower() in READERS:
+        raise BristleError(f"{path}: is a file of records, not a model file; the model (TOML) comes first, then the records")
     _, tree = read_toml(path, "model file")
     return Model.from_dict(tree, path)
 
@@ -191,7 +194,7 @@ class _File:
         except BristleError as error:
             raise self.mistake(key, value, str(error)) from None
         if not parameter.minimum <= number <= parameter.maximum:
-            message = f"outside [{parameter.minimum:g}, {parameter.maximum:g}] {unit}; choose a value in that interval"
+            message = f"outside {interval(parameter.minimum, parameter.maximum, unit)}; choose a value in that interval"
             raise self.mistake(key, value, f"{message} ({parameter.description})")
         return number
 

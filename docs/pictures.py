@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -30,13 +31,14 @@ def write(figure: Figure, name: str) -> None:
 
 
 def run() -> None:
-    """Draw every estimate of a run against its true value."""
+    """Draw every estimate of a run that has an error against its true value."""
     with tempfile.TemporaryDirectory() as out:
         result = bristle.run(ROOT / "scenarios" / f"{SCENARIO}.toml", out)
         signals = result.signals()
+    shown = {name: found for name, found in result.estimates.items() if math.isfinite(found["error_percent"])}
     figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
     axes = figure.subplots(2, 4).ravel()
-    for axis, (name, found) in zip(axes, result.estimates.items(), strict=False):
+    for axis, (name, found) in zip(axes, shown.items(), strict=False):
         axis.axhline(found["true"], color=TRUE, lw=2.5, label="true value")
         axis.plot(signals["time"], signals[f"{name}_hat"], color=AFTER, lw=1.1, label="estimate")
         axis.set_title(f"{name} [{found['unit']}]\nerror {found['error_percent']:.2g} %", fontsize=TEXT, loc="left")
@@ -44,7 +46,7 @@ def run() -> None:
         axis.set(ylim=(low, high), xlim=(0, signals["time"][-1]))
         axis.tick_params(labelsize=TICKS)
         axis.spines[["top", "right"]].set_visible(False)
-    for axis in axes[len(result.estimates) :]:
+    for axis in axes[len(shown) :]:
         axis.axis("off")
         axis.legend(*axes[0].get_legend_handles_labels(), loc="center", fontsize=TEXT, frameon=False)
     figure.supxlabel("time [s]", fontsize=TEXT)
@@ -70,10 +72,9 @@ def diagnosis() -> None:
     left.set(xlabel="time [s]", ylabel="position [rad]")
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=TEXT, frameon=False)
     middle.set(xlabel="time [s]", ylabel="error [mrad]")
-    [effect] = found.effects
     bars = {
-        "without\nthe effect": found.gap.before,
-        f"with\n{effect.name}": found.gap.after,
+        "without\neffect": found.gap.before,
+        "with\neffect": found.gap.after,
         "noise\nfloor": found.gap.noise_floor or 0.0,
     }
     heights = [1e3 * square**0.5 for square in bars.values()]

@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.units import parse_unit, quantity
+from bristle.common.units import interval, parse_unit, quantity
 
 Value = float | int | bool | str
 Written = Callable[[str], tuple[str, float]]
@@ -191,7 +191,8 @@ class Fmu:
         value = quantity(given, unit) * worth
         low, high = self.interval(name)
         if not low <= value <= high:
-            raise BristleError(f"outside [{low / worth:g}, {high / worth:g}] {unit}; choose a value in that interval")
+            allowed = interval(low / worth, high / worth, unit)
+            raise BristleError(f"outside {allowed}; choose a value in that interval")
         return value
 
     def check_si(self, name: str, unit: str) -> None:

@@ -294,6 +294,8 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         One line that names file, key, value and what is allowed.
     """
     text, tree = read_toml(path, "scenario file")
+    if "friction" in tree and "output" in tree:
+        raise BristleError(f"{path}: is a model file, no scenario file; give it to bristle diagnose, with records")
     for part in PARAMETER_PARTS:
         _flatten_parameters(tree, part)
     for override in overrides:

@@ -22,13 +22,15 @@ from bristle.common.errors import BristleError
 from bristle.result import Reproduction, Result
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from bristle.diagnosis import Diagnosis, Model, Record
 
     __version__: str
 
 __all__ = [
     "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "__version__", "build", "diagnose", "load_model",
-    "load_record", "load_records", "reproduce", "run",
+    "load_record", "load_records", "records_from_arrays", "reproduce", "run",
 ]  # fmt: skip
 
 PathLike = str | os.PathLike[str]
@@ -351,3 +353,28 @@ def load_records(model: PathLike | Model, files: PathLike | Sequence[PathLike]) 
     from bristle import diagnosis
 
     return diagnosis.load_records(_model(model), as_paths("files", files))
+
+
+def records_from_arrays(model: PathLike | Model, arrays: Iterable[tuple[str, ArrayLike, ArrayLike, ArrayLike]]) -> list[Record]:
+    """Check and clean records in memory.
+
+    Parameters
+    ----------
+    model : path or Model
+        Says what the arrays are; its column names and units are not used.
+    arrays : iterable of (name, time, input, output)
+        Name of the record, and three arrays of shape (n,) in SI units.
+
+    Returns
+    -------
+    list of Record
+        At least one for each entry, all with the same sampling period.
+
+    Raises
+    ------
+    BristleError
+        If a record is not usable.
+    """
+    from bristle import diagnosis
+
+    return diagnosis.records_from_arrays(_model(model), arrays)

@@ -24,6 +24,7 @@ from bristle.diagnosis.report.text import (
     unexplained_line,
     view_name,
 )
+from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.wording import Wording
 
@@ -200,7 +201,7 @@ def _views(diagnosis: Diagnosis) -> str:
         name = escape(view_name(v.view, v.label))
         rows.append((name, f"{100 * v.share:.0f} %", number(v.p, 2), f"{100 * v.share_after:.0f} %", number(v.p_after, 2)))
     kept = 5 if improved(diagnosis) else 3
-    head = ("predicted from", "share before" if kept == 5 else "share", "p", "share after", "p")
+    head = ("predicted from, or found in", "share before" if kept == 5 else "share", "p", "share after", "p")
     return table(head[:kept], [row[:kept] for row in rows], (1, 2, 3, 4)) if rows else ""
 
 
@@ -237,7 +238,8 @@ def _rounds(diagnosis: Diagnosis) -> str:
         rows.append(
             (str(k), _best(best, diagnosis.model.wording), number(each.null_level, 3), number(each.p, 2), escape(each.decision))
         )
-    return table(("round", "best candidate", "gain by chance, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
+    level = f"gain exceeded by chance in 1 of {1 / FALSE_ALARM_RATE:.0f}, nats"
+    return table(("round", "best candidate", level, "p ≤", "decision"), rows, (2, 3)) if rows else ""
 
 
 def _best(candidate: Candidate | None, wording: Wording) -> str:

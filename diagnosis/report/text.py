@@ -24,11 +24,12 @@ REPEAT_ADVICE = {  # view -> what to record where no other motion would show mor
 NATS = "natural units of log-likelihood: a gain of 4.6 nats is odds of 100 to 1"
 OUTLIER_NOTE = "a few outlier segments may dominate it"
 MOST_DIGITS = 6  # significant digits of a value at most
+FAR_OFF = "segments with a large error"
 AXES = {  # first part of a view -> name and kind of quantity
     "theta": ("position", "angle"), "v": ("velocity", "speed"), "a": ("acceleration", "acceleration"),
     "u": ("input", "input"), "du": ("rate of the input", "input rate"), "t": ("time", "time"),
     "history": ("travel since the last reversal", "angle"), "direction": ("sign of the velocity", "none"),
-    "frequency": ("frequency", "frequency"), "tone": ("oscillation in time", "time"), OUTLIERS: ("outlier segments", "none"),
+    "frequency": ("frequency", "frequency"), "tone": ("oscillation in time", "time"), OUTLIERS: (FAR_OFF, "none"),
 }  # fmt: skip
 
 
@@ -192,7 +193,7 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
         said = f"a random disturbance of {100 * left.disturbance:.0f} % of the {wording.torque} of the input is needed"
         said += " to fit the records, and no motion variable predicts it"
     elif left.view == OUTLIERS and left.label:
-        said = f"{100 * left.share:.0f} % of the residual's power is in outlier segments ({left.label})"
+        said = f"{100 * left.share:.0f} % of the residual's power is in {FAR_OFF} ({left.label})"
     else:
         said = f"{100 * left.share:.0f} % of the residual can be predicted from {view_name(left.view, left.label)}"
     end = "with none of the tied effects added" if open_tie else "and no effect of the catalogue explains it"
@@ -234,7 +235,7 @@ def _search_further(left: Unexplained) -> str:
     if left.view in REPEAT_ADVICE:
         return REPEAT_ADVICE[left.view]
     if left.view == OUTLIERS:
-        return "Record again what happens in the outlier segments, and little else, to find what is unexplained there."
+        return f"Record again what happens in the {FAR_OFF}, and little else, to find what is unexplained there."
     return f"Record motion that varies {view_name(left.view)} most, and all else little, to find what is unexplained there."
 
 
@@ -266,12 +267,11 @@ def _undetected(each: Undetected, model: Model, added: str) -> str:
     if each.gain is not None and added:
         return f"before {effect_name(added, model.wording)} was added it gained {each.gain:.0f} nats; beside that nothing shows it"
     if each.gain is not None:
-        little = "but too little of it, or not in the range that the search allows"
-        return f"something like it shows (gain {each.gain:.0f} nats), {little}"
+        return f"it gains {each.gain:.0f} nats, more than chance, but {each.failed}"
     if each.confounded:
         return f"these records cannot distinguish it from {', '.join(each.confounded)}; {needs}"
     if not each.measurable:
-        return f"tried, and no trace of it; {needs}"
+        return f"tried; the likelihood gain does not exceed chance; {needs}"
     if each.limit is None:
         return f"these records cannot show it; {needs}"
     strength = effect.parameters[0]

@@ -12,6 +12,7 @@ from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.plant.effects import effect as find_effect
 
+NOT_CONFIRMED = "does not lower the error on held-out segments"
 LARGEST_LIMIT = 1e5  # SI unit of the parameter: a limit beyond this says that the records cannot show the effect
 
 
@@ -22,6 +23,7 @@ class Undetected:
     name: str
     reason: str = ""  # why it could not be tried, or an empty text
     gain: float | None = None  # gain of its log-likelihood [nats], if it is above the level that chance reaches
+    failed: str = ""  # with a gain above that level: the condition that it does not meet
     measurable: bool = True  # False if no parameter says how large it is: it does not vanish in proportion to its first one
     confounded: tuple[str, ...] = ()  # parameters from which these records cannot distinguish its size
     limit: float | None = None  # value of its first parameter [SI] that would have been detected; None if the records set no limit
@@ -32,11 +34,22 @@ def detection_limits(candidates: Sequence[Candidate], null: Null, base: float) -
     return [_undetected(candidate, null, base) for candidate in candidates]
 
 
+def _failed(c: Candidate) -> str:
+    """Return why a candidate that gains more than chance was not added."""
+    if c.assessment is None:  # it was not compared on held-out segments
+        return "gains far less than another effect, or only with values that are not credible"
+    if not c.assessment.large_enough:
+        return "lowers the squared error too little"
+    if not c.assessment.confirmed:
+        return NOT_CONFIRMED
+    return "explains the residual less well than another effect" if c.assessment.deficit[0] > 0 else "was rejected by the search"
+
+
 def _undetected(c: Candidate, null: Null, base: float) -> Undetected:
     if c.fit is None:
         return Undetected(c.name, c.reason)
     if (gain := c.fit.total - base) > null.level(c.name):
-        return Undetected(c.name, gain=gain)
+        return Undetected(c.name, gain=gain, failed=_failed(c))
     effect = find_effect(c.name)
     strength = effect.parameters[0]
     free = [f.name for f in c.fit.free]

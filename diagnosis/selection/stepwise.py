@@ -13,6 +13,7 @@ from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
 from bristle.diagnosis.selection.candidates import EXHAUSTIVE, HOPEFUL_LEVELS, QUICK, Candidate, Effort, fit_candidates
 from bristle.diagnosis.selection.criterion import AGREED_NATS, CERTAIN_LEVELS, CLEAR_LEVELS, SearchRound, accept_or_reject, group
+from bristle.diagnosis.selection.detection_limit import NOT_CONFIRMED
 from bristle.diagnosis.selection.discretisation import numerical
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.refinement import (
@@ -156,7 +157,7 @@ def _why_rejected(found: SearchRound) -> str:
     """Return what is wrong with a best candidate that is not convincing."""
     if found.gain <= found.level:
         return "gains no more than chance does, under the noise of its own residual"
-    return "does not lower the error on held-out segments" if found.assessment.large_enough else "is certain but small"
+    return NOT_CONFIRMED if found.assessment.large_enough else "is significant, but lowers the squared error too little"
 
 
 def is_worth_adding(found: SearchRound, first_gain: float) -> bool:

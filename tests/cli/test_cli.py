@@ -78,7 +78,11 @@ def test_errors_are_2_and_one_line(cli: Cli, case: Path, tmp_path: Path) -> None
     one_line(cli("run", case, "--out", out, "--set", "plant.parameters.J=-1 kg.m2"), "plant.parameters.J", "outside")
     one_line(cli("run", case, "--out", case), "output folder", str(case))
     one_line(cli("run", case, case, "--out", out), "given 2 times")
-    one_line(cli("run", case), "--out")
+    one_line(cli("run", tmp_path, "--out", out), "is a folder; give a scenario file")
+    one_line(cli("run", case, "--out", out, "--seed", "-1"), "controller.parameters.seed = -1: outside [1, 2147483646]; choose")
+    one_line(cli("run", case, "--out", out, "--sed", "3"), "No such option: --sed (Possible options: --seed)")
+    one_line(cli("run", case, "--foo"), "No such option: --foo; see bristle run --help")
+    one_line(cli("run", case, "--out", out, "--set", "duration=-1"), 'write a unit behind the number, such as "1 s"')
     one_line(cli("run", case, "--out", out, "--fmi", "4"), "--fmi")
     one_line(cli("run", case, "--out", out, "--kind", "python", "--fmi", "3"), "FMI 3")
     one_line(cli("dance"), "dance")
@@ -87,6 +91,19 @@ def test_errors_are_2_and_one_line(cli: Cli, case: Path, tmp_path: Path) -> None
     one_line(cli("build", "plant", "--effects", "coging", "--out", out), "unknown effect 'coging'", "did you mean 'cogging'")
     one_line(cli("build", "observer", "--effects", "bias", "--out", out), "the observer has no effects to add")
     assert not out.exists()
+
+
+def test_results_are_in_out_where_no_folder_is_given(cli: Cli, case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    one_line(cli("run", "quik"), "did you mean 'quick'?")
+    one_line(cli("diagnose", "none.toml", "--data", "none.csv"), "none.toml", "No such file")
+    assert cli("run", case).returncode == 0
+    assert (tmp_path / "out" / "case" / "result.json").exists()
+
+
+def test_a_model_file_is_no_scenario(cli: Cli, tmp_path: Path) -> None:
+    model = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07" / "model.toml"
+    one_line(cli("run", model, "--out", tmp_path / "out"), "is a model file, no scenario file; give it to bristle diagnose")
 
 
 def test_deprecated_keys_are_one_line(cli: Cli, tmp_path: Path) -> None:

@@ -410,7 +410,7 @@ def test_an_effect_that_is_too_small_in_any_shape_is_rejected(case):
     assert retry_with_shape(context, small) is small
     rejected = decide(context, small, None)
     assert (rejected.outcome, rejected.ties) == ("rejected", ())
-    assert "certain but small" in rejected.decision
+    assert "significant, but lowers the squared error too little" in rejected.decision
 
 
 @pytest.mark.parametrize(("exponent", "moves"), [(1.0, False), (1.5, True)])

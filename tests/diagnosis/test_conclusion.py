@@ -11,7 +11,7 @@ from bristle.diagnosis.conclusion import choices_of, known_floor, unidentified_p
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.report.result import Estimate, Gap
 from bristle.diagnosis.report.text import undetected
-from bristle.diagnosis.selection.candidates import Candidate
+from bristle.diagnosis.selection.candidates import Assessment, Candidate
 from bristle.diagnosis.selection.criterion import Outcome, SearchRound
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
@@ -93,7 +93,15 @@ def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
     found = detection_limits(tried, null, base)
     lines = undetected(found, model, ("bias",))
     assert list(lines) == ["gravity", "cogging"]
-    assert "something like it shows (gain 50 nats)" in lines["gravity"]
+    assert "it gains 50 nats, more than chance, but gains far less than another effect" in lines["gravity"]
+    for worth, why in (
+        (Assessment(1.1, 20.0, False, True), "but lowers the squared error too little"),
+        (Assessment(2.0, -5.0, True, False), "but does not lower the error on held-out segments"),
+        (Assessment(2.0, 20.0, True, True), "but was rejected by the search"),
+        (Assessment(2.0, 20.0, True, True, (9.0, 2.0)), "but explains the residual less well than another effect"),
+    ):
+        [compared] = detection_limits([replace(tried[1], assessment=worth)], null, base)
+        assert undetected([compared], model)["gravity"].endswith(why)
     assert undetected(found, model, ("bias", "gravity"), "bias") == {
         "cogging": "before constant torque (bias) was added it gained 50 nats; beside that nothing shows it"
     }

@@ -150,14 +150,14 @@ def test_a_tone_is_reported_with_its_frequency_and_an_experiment(answer):
     assert "with the input at zero" not in experiment(replace(facts, ties=(("bias", "gravity"),)))
     few = Unexplained(True, OUTLIERS, 0.7, 0.0, "16 of 180 segments, the worst at 1.4 s")
     said = " ".join(statement(replace(facts, remains=few)))
-    assert "70 % of the residual's power is in outlier segments (16 of 180 segments, the worst at 1.4 s)" in said
+    assert "70 % of the residual's power is in segments with a large error (16 of 180 segments, the worst at 1.4 s)" in said
 
 
 def test_the_views_are_listed_by_their_share_what_chance_gives_last(answer):
     first, second = answer("named").where
     burst = replace(first, view=OUTLIERS, label="3 of 75 segments, the worst at 0.5 s", share=0.99)
     text = text_of(page_of(replace(answer("named"), where=(replace(first, share=1.0, p=0.9), second, burst))))
-    assert text.index("outlier segments (3 of 75 segments") < text.index("velocity 5 %") < text.index("position 100 %")
+    assert text.index("segments with a large error (3 of 75 segments") < text.index("velocity 5 %") < text.index("position 100 %")
 
 
 def test_a_record_may_have_any_name(answer, recwarn):
@@ -404,7 +404,9 @@ def test_words_are_those_of_the_axis_and_of_its_input():
 
 def test_what_was_not_found_is_not_said_to_need_what_the_records_have(fabricated):
     [found] = detection_limits([Candidate("backlash", SimpleNamespace(total=0.0, free=()))], Null(np.zeros(1), {}), 0.0)
-    assert undetected([found], fabricated.model()) == {"backlash": "tried, and no trace of it; what shows it: reversals"}
+    assert undetected([found], fabricated.model()) == {
+        "backlash": "tried; the likelihood gain does not exceed chance; what shows it: reversals"
+    }
 
 
 def test_a_linear_axis_has_no_torque(answer):

@@ -139,4 +139,4 @@ def test_a_sum_outside_the_interval_of_the_input_is_one_line(base: str, scenario
     text = '[[stimuli]]\nvariable = "load_scale"\nsine = {amplitude = 1.5, frequency = "1 Hz"}\n'
     line = message(lambda: prepared(scenario_file(stimulated(base, text))))
     assert 'stimuli[0] = "load_scale"' in line
-    assert "outside [0, 1e+06] 1" in line
+    assert "outside [0, 1e+06];" in line

@@ -12,12 +12,12 @@ import pytest
 PUBLIC = {
     "bristle": [
         "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "__version__", "build", "diagnose", "load_model",
-        "load_record", "load_records", "reproduce", "run",
+        "load_record", "load_records", "records_from_arrays", "reproduce", "run",
     ],
     "bristle.common.errors": [
         "BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
     ],
-    "bristle.common.units": ["Unit", "convert", "parse_unit", "per_second", "quantity"],
+    "bristle.common.units": ["Unit", "convert", "interval", "parse_unit", "per_second", "quantity"],
     "bristle.diagnosis": [
         "BristleError", "Diagnosis", "Model", "Record", "SearchOptions", "diagnose", "diagnose_fmu", "fmu_model", "load_model",
         "load_records", "records_from_arrays", "write",

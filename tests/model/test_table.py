@@ -115,8 +115,9 @@ def test_a_missing_value_of_parquet_is_nan(tmp_path):
         ("t;u\n0;1,5\n1;2,5\n", ["line 2", "'1,5' is no number", "decimal point"]),
         ("t,t\n0,1\n", ["'t' is there twice"]),
         ("0,1\n1,2\n", ["first line holds numbers"]),
-        ("t,u\n", ["no data"]),
-        ("", ["no data"]),
+        ("t,u\n", ["no data below the line of column names"]),
+        ("", ["is empty"]),
+        ("\n\n", ["is empty"]),
     ],
 )
 def test_a_bad_csv_says_where(content, words, tmp_path):

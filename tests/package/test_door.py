@@ -195,6 +195,14 @@ def test_records_are_no_files(wrong_unit, message):
     [record] = bristle.load_records(wrong_unit, DATA[0])
     assert message(lambda: bristle.load_records(wrong_unit, [record])) == "files[0] is a Record; give a path, as text or Path"
     assert "model is a int" in message(lambda: bristle.load_model(3))
+    assert "the model (TOML) comes first" in message(lambda: bristle.load_record(DATA[0], wrong_unit))
+
+
+def test_arrays_become_the_records_of_a_file(wrong_unit):
+    [record] = bristle.load_records(wrong_unit, DATA[0])
+    [same] = bristle.records_from_arrays(wrong_unit, [("a", record.time, record.u, record.y)])
+    np.testing.assert_array_equal(same.u, record.u)
+    np.testing.assert_array_equal(same.y, record.y)
 
 
 def test_no_error_of_the_library_speaks_of_options_of_the_command_line():
