@@ -273,7 +273,7 @@ def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
 
 @app.command(epilog="Exit code 0: every run is as it is expected to be; 1: one is not; 2: an error.")
 def reproduce(
-    out: Annotated[Path, typer.Option(help="folder for report.html, its figures and reproduce.json")],
+    out: Annotated[Path, typer.Option(help="folder for report.html, its figures and reproduce.json")] = Path("out"),
     debug: DebugOption = False,
 ) -> None:
     """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer, on one page."""

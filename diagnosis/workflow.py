@@ -121,7 +121,7 @@ def check_arguments(model: Model, records: Sequence[Record]) -> None:
 
 def implausible(said: Plausibility, lines: Sequence[str] = ()) -> Additions:
     """Return what is reported where data and model seem to describe different things; `lines` are findings to begin with."""
-    why = "No effect was looked for: data and model disagree in a way that is more likely a mistake in one of them. Proposed: "
+    why = "No effect was tried: data and model disagree in a way that is more likely a mistake in one of them. Proposed: "
     proposed = "; ".join(line.rstrip(".") for line in said.proposals)
     return Additions([f"{why}{proposed}{'' if proposed.endswith('?') else '.'}"], lines, said.findings, proposals=said.proposals)
 

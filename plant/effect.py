@@ -223,7 +223,7 @@ class Extension:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect(Extension):
-    """An extension that a diagnosis can find missing: what it looks like in records, and how it is looked for.
+    """An extension that a diagnosis can find missing: what it looks like in records, and how a diagnosis searches for it.
 
     Attributes
     ----------

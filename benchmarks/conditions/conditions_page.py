@@ -171,7 +171,7 @@ def _table(cells: Mapping[str, Sequence[Json]]) -> list[str]:
 TEXT = """# Observers under many conditions
 
 Written by `benchmarks/conditions/run.py`, which makes its records with a simulator, a sensor and a controller of its own. A
-record has 60 s; the estimates at its end are compared with the truth. A condition changes one thing of the standard record: a
+record has 60 s; the estimates at its end are compared with the true values. A condition changes one thing of the standard record: a
 reference of noise through 5 rad/s (one or two sections by turns) of 120 deg/s rms, 1 ms, 40000 counts a turn, no load, no
 delay, no noise, sets S and R of [the mathematics](../mathematics.md). Methods that read the position get the encoder, methods
 that read the velocity the true one, so that they are not judged by a differentiation that they do not contain. No method gets
@@ -179,7 +179,7 @@ a true value. `moving_horizon` is no observer but a ceiling: it solves a least-s
 (`benchmarks/conditions/moving_horizon.py`), on the first record of each plant only; times are those of this grid.
 
 An estimate counts as right within 5 % and as wrong beyond 10 %. "within 2 sd" is the share of the valid estimates that have a
-standard deviation and lie within two of them of the truth (goal: 90 to 99 %).
+standard deviation and lie within two of them of the true value (goal: 90 to 99 %).
 
 ![Methods and conditions: what is valid, and whether it is right](conditions.png)
 """

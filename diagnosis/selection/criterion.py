@@ -55,7 +55,7 @@ class SearchRound:
     gain: float = 0.0  # of the best one [nats]
     ties: tuple[str, ...] = ()  # other candidates that the records do not distinguish from it
     decision: str = ""  # what was decided and why, for the report; empty until it is
-    outcome: Outcome = "none"  # the same as a word: of a candidate that was `withdrawn`, the effect was added and then given up
+    outcome: Outcome = "none"  # the same as a word: of a candidate that was `withdrawn`, the effect was added and later removed
     finer_gain: float | None = None  # gain with finer steps of the simulation [nats]
 
     @property
