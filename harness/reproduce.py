@@ -290,11 +290,11 @@ def _curves(cases: Mapping[Key, Case]) -> dict[str, tuple[Array, Array]]:
     for scheme in SCHEMES:
         model = cases[Key(scheme, "L0", first)].model
         if model.law == "modified":
-            curves[scheme] = friction_curve("modified", _stiffer(model.parameters))
+            curves[scheme] = friction_curve("modified", stiffer(model.parameters))
     return curves
 
 
-def _stiffer(parameters: Mapping[str, float]) -> dict[str, float]:
+def stiffer(parameters: Mapping[str, float]) -> dict[str, float]:
     """Return the friction of an identified model with a presliding distance that is next to nothing.
 
     Source: dixit2008 eq. (18): the level depends on sigma_i / c alone.

@@ -15,7 +15,16 @@ import pytest
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
 from bristle.harness.paper import FIGURES, PRINTED
-from bristle.harness.reproduce import GAINS, REPRODUCE_FILES, SCHEMES, TEST_PLANTS, friction_curve, reproduce, scenario_path
+from bristle.harness.reproduce import (
+    GAINS,
+    REPRODUCE_FILES,
+    SCHEMES,
+    TEST_PLANTS,
+    friction_curve,
+    reproduce,
+    scenario_path,
+    stiffer,
+)
 from bristle.harness.run import Options, run
 
 SHORT = 0.01  # share of the paper's durations in the quick tests
@@ -107,7 +116,7 @@ def test_a_friction_curve_is_the_level_of_its_law() -> None:
     v, level = friction_curve("lugre", {"lugre.sigma0": 8e5, "lugre.Fc": 4.0, "lugre.Fs": 7.2, "lugre.vs": math.radians(25.0)})
     assert v[0] > math.radians(100.0)
     np.testing.assert_allclose(level, 4.0 + 3.2 * np.exp(-((np.degrees(v) / 25.0) ** 2)), rtol=2e-3)
-    parameters = {"modified.sigma0": 6e5, "modified.sigma1": 8e5, "modified.sigma2": 3e5, "modified.c": 1.5e5}
-    v, level = friction_curve("modified", parameters)
+    found = {"sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0, "tau": 0.01, "width": 1.0}
+    v, level = friction_curve("modified", stiffer({f"modified.{name}": value for name, value in found.items()} | {"b": 6.5}))
     shapes = 8 * np.exp(-((np.degrees(v) / 10) ** 2)) + 3 * np.exp(-(((np.degrees(v) - 20) / 20) ** 2))
     np.testing.assert_allclose(level, (6 + shapes) / 1.5, rtol=2e-3)
