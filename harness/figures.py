@@ -144,6 +144,7 @@ def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     _limits(ax, course, true)
     _course(ax, time, course, index)
     ax.set_xlim(0, pictures.time[-1] or 1.0)
+    ax.yaxis.get_offset_text().set_x(-0.22)  # a factor of the ticks, which would cover the title
     settled, error = facts.get("settling_s"), facts.get("error_percent")
     if settled and math.isfinite(settled):
         ax.axvline(settled, color=GREEN, linewidth=1.0, linestyle=":")

@@ -72,12 +72,12 @@ def _estimates(result: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
     rows = []
     for name, e in result["estimates"].items():
         state = badge("good", "valid") if e["valid"] else badge("bad", "not valid" if e["adapted"] else "not adapted")
-        cells = [_named(name, meanings), unit(e["unit"]) or "1", number(e["final"], 5), number(e["sd"], 2), state]
+        cells = [_named(name, meanings), state, unit(e["unit"]) or "1", number(e["final"], 5), number(e["sd"], 2)]
         rows.append(cells + ([number(e["true"]), number(e["error_percent"], 3), _settled(e), number(e["moved_percent"], 3)]
                              if errors else []))  # fmt: skip
-    head = ("parameter", "unit", "final", "standard deviation", "", *errors)
+    head = ("parameter", "", "unit", "final", "standard deviation", *errors)
     legend = f'<p class="sub">{ERRORS}</p>' if errors else ""
-    return _innovation(result) + table(head, rows, (2, 3, 5, 6, 7, 8)) + legend
+    return _innovation(result) + table(head, rows, (3, 4, 5, 6, 7, 8)) + legend
 
 
 def _settled(estimate: Mapping[str, Any]) -> str:
