@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.units import quantity
+from bristle.common.units import interval, quantity
 from bristle.fmus.host import Fmu
 from bristle.harness.loop import Port
 from bristle.harness.scenario import Loaded, Noise, Sine, Stimulus
@@ -176,5 +176,6 @@ def check_range(loaded: Loaded, plant: Fmu, signals: Sequence[Signal], steps: in
         beyond = values[(values < low) | (values > high)]
         if len(beyond):
             unit = plant.unit(signal.variable)
-            message = f"reaches {beyond[0]:g} {unit}, outside [{low:g}, {high:g}] {unit}; lower the sine or the noise"
+            reached = f"{beyond[0]:g}" + ("" if unit == "1" else f" {unit}")
+            message = f"reaches {reached}, outside {interval(low, high, unit)}; lower the sine or the noise"
             raise loaded.error(signal.key, signal.variable, message)
