@@ -36,6 +36,7 @@ from bristle.observer import consistency, information
 from bristle.observer.method import stack, unstack, vector_states
 
 SX = ca.SX
+LEAST_DISTINCT = 1e-6  # share of a column that the others must leave unexplained, else its estimate is not known at all
 RIDGE_SHARE = 1e-9  # of each diagonal entry: shares out among equal columns what they explain together
 LEAST_EXCESS = 1e-3  # of the squared movement over the variance lost: errors of a differentiated signal average out faster
 BLOCKS_OF_CLAIM = 0.05  # blocks that the claimed variance counts for at the start
@@ -77,6 +78,7 @@ class Companion:
             *vector_states(f"{pre}fit", "1", f"least squares of {', '.join(self.names)}", self.count),
             *vector_states(f"{pre}narrow", "1", "the same without the further columns", self.count),
             *vector_states(f"{pre}unit", "1", "their variance for unit variance of the residual", self.count),
+            *vector_states(f"{pre}distinct", "1", "1 where the other columns do not explain its own", self.count),
             State(f"{pre}rows", "1", "samples remembered"),
             State(f"{pre}counted", "s", "time that has counted"),
             State(f"{pre}residual", "1", "variance of the residual that independent samples would have"),
@@ -97,6 +99,7 @@ class Companion:
         rows = ca.if_else(row.counts, kept * rows + 1, rows)
         factors = information.Factors(r + RIDGE_SHARE * ca.diag(ca.diag(r)))
         everything, unit = factors.regression(), factors.inverse_diagonal(self.columns)[:n]
+        distinct = unit * ca.diag(r)[:n] * LEAST_DISTINCT < 1  # 1 over their product is the share that the others do not explain
         free = rows / row.alike - self.columns  # independent samples beyond the unknowns
         adapted = free > 0
         residual = factors.d[-1] / ca.fmax(free, 1)
@@ -111,6 +114,7 @@ class Companion:
             **unstack(f"{pre}fit", fit),
             **unstack(f"{pre}narrow", ca.if_else(adapted, factors.regression(n), 0)),
             **unstack(f"{pre}unit", unit),
+            **unstack(f"{pre}distinct", distinct),
             f"{pre}rows": rows,
             f"{pre}counted": age + time,
             f"{pre}residual": residual,
@@ -134,6 +138,7 @@ class Companion:
         """
         factors = consistency.inflation(p, self.count, self.prefix, LEAST_EXCESS)
         own = p[f"{self.prefix}residual"] * stack(p, f"{self.prefix}unit", self.count) * factors**2
+        own = ca.if_else(stack(p, f"{self.prefix}distinct", self.count) > 0, own, LARGEST_SD**2)
         fit = self.fit(p)
         square = {name: own[self.names.index(name)] + (x - fit[name]) ** 2 for name, x in estimates.items()}
         return {name: ca.fmin(ca.sqrt(each), LARGEST_SD) for name, each in square.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.linear import Elimination
-from bristle.model.variables import Namespace, Parameter
+from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import extension, filtered, step1
 from bristle.observer.bastin_gevers import start_parameters
 from bristle.observer.companion import Row
@@ -13,6 +13,13 @@ from bristle.observer.method import EquationContext, Method, Sample, Update, sta
 
 SX = ca.SX
 CITATION = "kreisselmeier1977"
+ENTRIES = step1.COMPANION.count  # alpha2, b, Fc, load and -b d, d the delay
+STATES = (
+    *extension.states(ENTRIES),
+    *filtered.estimate_states(),
+    State("theta3", "rad/s2", "estimate of the load torque over inertia"),
+    State("theta4", "rad/(s.V)", "estimate of -b d, d the delay"),
+)
 
 
 def kept(p: Namespace, s: Sample) -> SX:
@@ -26,13 +33,18 @@ def adapt(p: Namespace, r: Row, period: SX) -> dict[str, SX]:
     Phi is positive semidefinite, so that 1 + Ts g Phi needs no pivoting.
     Source: kreisselmeier1977.
     """
-    theta = stack(p, "theta", 3)
-    phi, y = extension.extend(p, r.h[:3], r.z, period)
+    theta = stack(p, "theta", ENTRIES)
+    phi, y = extension.extend(p, r.h, r.z, period)
     gain = period * p.gain
-    change = Elimination(SX.eye(3) + gain * phi).solve(gain * (y - phi @ theta))
-    before = {**extension.write(*extension.read(p, 3)), **unstack("theta", theta)}
+    change = Elimination(SX.eye(ENTRIES) + gain * phi).solve(gain * (y - phi @ theta))
+    before = {**extension.write(*extension.read(p, ENTRIES)), **unstack("theta", theta)}
     after = {**extension.write(phi, y), **unstack("theta", theta + change)}
     return {name: ca.if_else(r.counts, after[name], before[name]) for name in after}
+
+
+def estimates(p: Namespace) -> dict[str, SX]:
+    """Return the estimates by name."""
+    return {name: p[f"theta{i}"] for i, name in enumerate(step1.COMPANION.names)}
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
@@ -48,7 +60,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     sample, shared = filtered.observe(p, s, kept(p, s))
     signals = {"v": filtered.velocity(p, stack(p, "theta", 3))}
-    return Update(shared | adapt(p, sample, s.period), **step1.published(p, filtered.estimates(p), s.period), signals=signals)
+    return Update(shared | adapt(p, sample, s.period), **step1.published(p, estimates(p), s.period), signals=signals)
 
 
 METHOD = Method(
@@ -57,6 +69,6 @@ METHOD = Method(
     CITATION,
     "y_v",
     (*filtered.parameters("kreisselmeier", 20.0), *parameters("kreisselmeier")),
-    (*filtered.STATES, *extension.states(3), *filtered.estimate_states()),
+    (*filtered.STATES, *STATES),
     _equations,
 )

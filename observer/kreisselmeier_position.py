@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bristle.observer import extension, filtered, kalman, kreisselmeier, rls, step1
+from bristle.observer import kalman, kreisselmeier, rls, step1
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
@@ -10,7 +10,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     sample, shared = rls.observe(p, s, kreisselmeier.kept(p, s))
     new = shared | kreisselmeier.adapt(p, sample, s.period)
-    return Update(new, **step1.published(p, filtered.estimates(p), s.period), signals={"v": p.last_v})
+    return Update(new, **step1.published(p, kreisselmeier.estimates(p), s.period), signals={"v": p.last_v})
 
 
 METHOD = Method(
@@ -24,6 +24,6 @@ METHOD = Method(
         *rls.filter_parameters("kreisselmeier_position"),
         *kreisselmeier.parameters("kreisselmeier_position"),
     ),
-    (*rls.STATES, *extension.states(3), *filtered.estimate_states()),
+    (*rls.STATES, *kreisselmeier.STATES),
     _equations,
 )
