@@ -204,11 +204,18 @@ def _encoder_step(setup: Setup) -> float | None:
 
 
 def _tell_resolution(setup: Setup, step: float | None) -> None:
-    """Give the observer the step of the position sensor, where it asks for one and the user has not said otherwise."""
-    observer, name = setup.fmus["observer"], f"{getattr(setup.scenario.observer, 'method', None)}.resolution"
-    if step is not None and observer.has(name, "parameter"):
-        told = min(step * setup.rig.worth(observer.unit(name)), observer.interval(name)[1])
-        setup.values["observer"].setdefault(name, told)
+    """Give the observer the step of the position sensor, where it asks for one and the user has not said otherwise.
+
+    A method that reads a velocity is told the standard deviation of a difference of two rounded positions.
+    Source: widrow2008 chapter 1.
+    """
+    if step is None:
+        return
+    observer, method = setup.fmus["observer"], getattr(setup.scenario.observer, "method", None)
+    for name, value in {f"{method}.resolution": step, f"{method}.noise": step / setup.h / math.sqrt(6.0)}.items():
+        if observer.has(name, "parameter") and (name.endswith("resolution") or observer.unit(name) == "rad/s"):
+            told = min(value * setup.rig.worth(observer.unit(name)), observer.interval(name)[1])
+            setup.values["observer"].setdefault(name, told)
 
 
 def _instances(setup: Setup, names: tuple[str, ...]) -> tuple[Instance, ...]:

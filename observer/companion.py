@@ -42,6 +42,7 @@ LEAST_EXCESS = 1e-3  # of the squared movement over the variance lost: errors of
 BLOCKS_OF_CLAIM = 0.05  # blocks that the claimed variance counts for at the start
 LATE_TIME = 20.0  # s, over which the innovations of late are averaged
 LARGEST_SQUARE = 1e6  # most that one squared innovation counts over the variance of the sensor
+LEAST_KEPT = 1e-100  # keeps a division defined where nothing is kept
 LEAST_NOISE = 1e-300  # keeps a division defined where the sensor has none
 LARGEST_SD = 1e9  # published, where nothing is known
 
@@ -103,7 +104,7 @@ class Companion:
         free = rows / row.alike - self.columns  # independent samples beyond the unknowns
         adapted = free > 0
         residual = factors.d[-1] / ca.fmax(free, 1)
-        lost = ca.if_else(row.counts, ca.fmax(stack(p, f"{pre}unit", n) / kept - unit, 0), 0)
+        lost = ca.if_else(row.counts, ca.fmax(stack(p, f"{pre}unit", n) / ca.fmax(kept, LEAST_KEPT) - unit, 0), 0)
         fit = ca.if_else(adapted, everything[:n], 0)
         time, age = ca.if_else(row.counts, period, 0), p[f"{pre}counted"]
         square = ca.fmin((row.z - ca.dot(line[:-1], everything)) ** 2 / ca.fmax(row.noise, LEAST_NOISE), LARGEST_SQUARE)

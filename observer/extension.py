@@ -39,12 +39,12 @@ def write(phi: SX, y: SX) -> dict[str, SX]:
     return unstack_symmetric("phi", phi) | unstack("y", y)
 
 
-def extend(p: Namespace, h: SX, z: SX, period: SX) -> tuple[SX, SX]:
-    """Advance Phi and Y over a sample with h and z held, exactly.
+def extend(p: Namespace, h: SX, z: SX, period: SX, left: float | SX = 1.0) -> tuple[SX, SX]:
+    """Advance Phi and Y, of which the share `left` counts still, over a sample with h and z held, exactly.
 
     Source: kreisselmeier1977.
     """
     phi, y = read(p, h.numel())
     kept = ca.exp(-p.fading * period)
     gain = (1 - kept) / p.fading
-    return kept * phi + gain * h @ h.T, kept * y + gain * h * z
+    return left * kept * phi + gain * h @ h.T, left * kept * y + gain * h * z

@@ -70,7 +70,8 @@ def observe(p: Namespace, s: Sample, kept: SX) -> tuple[Row, dict[str, SX]]:
     """
     h, vc = s.period, gate(p)
     f = regressor(s)
-    raw = ca.vertcat((s.y1 - s.y0) / h, f, 1, (s.u - p.input_before) / h, f[2] * step1.falling(f[0], vc))
+    input_rate = ca.if_else(p.samples > 1, (s.u - p.input_before) / h, 0)
+    raw = ca.vertcat((s.y1 - s.y0) / h, f, 1, input_rate, f[2] * step1.falling(f[0], vc))
     gain = 1 - ca.exp(-p.cutoff * h)
     before = stack(p, "filtered", COLUMNS)
     after = before + gain * (raw - before)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from bristle.model.linear import Elimination
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import extension, filtered, step1
+from bristle.observer import extension, filtered, information, step1
 from bristle.observer.bastin_gevers import start_parameters
 from bristle.observer.companion import Row
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack
@@ -27,16 +26,18 @@ def kept(p: Namespace, s: Sample) -> SX:
     return SX(ca.exp(-p.fading * s.period))
 
 
-def adapt(p: Namespace, r: Row, period: SX) -> dict[str, SX]:
+def adapt(p: Namespace, r: Row, left: SX, period: SX) -> dict[str, SX]:
     """Advance theta' = -g (Phi theta - Y) over a sample by an implicit Euler step, stable at any gain.
 
-    Phi is positive semidefinite, so that 1 + Ts g Phi needs no pivoting.
+    `left`: share of Phi and Y that counts still.
+
+    Phi is positive semidefinite, so that 1 + Ts g Phi needs no pivoting, and none of its pivots is lost to rounding.
     Source: kreisselmeier1977.
     """
     theta = stack(p, "theta", ENTRIES)
-    phi, y = extension.extend(p, r.h, r.z, period)
+    phi, y = extension.extend(p, r.h, r.z, period, left)
     gain = period * p.gain
-    change = Elimination(SX.eye(ENTRIES) + gain * phi).solve(gain * (y - phi @ theta))
+    change = information.Factors(SX.eye(ENTRIES) + gain * phi).solve(gain * (y - phi @ theta))
     before = {**extension.write(*extension.read(p, ENTRIES)), **unstack("theta", theta)}
     after = {**extension.write(phi, y), **unstack("theta", theta + change)}
     return {name: ca.if_else(r.counts, after[name], before[name]) for name in after}
@@ -60,7 +61,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     sample, shared = filtered.observe(p, s, kept(p, s))
     signals = {"v": filtered.velocity(p, stack(p, "theta", 3))}
-    return Update(shared | adapt(p, sample, s.period), **step1.published(p, estimates(p), s.period), signals=signals)
+    new = shared | adapt(p, sample, step1.left(p, shared), s.period)
+    return Update(new, **step1.published(p, estimates(p), s.period), signals=signals)
 
 
 METHOD = Method(

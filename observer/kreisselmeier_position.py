@@ -9,7 +9,7 @@ from bristle.observer.method import EquationContext, Method, Sample, Update
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     sample, shared = rls.observe(p, s, kreisselmeier.kept(p, s))
-    new = shared | kreisselmeier.adapt(p, sample, s.period)
+    new = shared | kreisselmeier.adapt(p, sample, step1.left(p, shared), s.period)
     return Update(new, **step1.published(p, kreisselmeier.estimates(p), s.period), signals={"v": p.last_v})
 
 

@@ -37,6 +37,7 @@ SIGNALS = {
 }
 CONVERGENCE_TIME = 1.0  # s, over which the convergence measure averages
 LONGEST_DELAY = 8  # samples
+LARGEST_INPUT = 1e9  # V, rad or rad/s; what is larger counts as this, so that no square overflows
 DELAY = Parameter(
     "delay", "d", "1", 0.0, 0.0, float(LONGEST_DELAY), "known delay of the measurement behind the input, in samples",
     "ljung1999 section 4.2",
@@ -166,6 +167,7 @@ def _observer(method: Method) -> System:
         "y_theta": system.input(Variable("y_theta", "rad", "measured position")),
         "y_v": system.input(Variable("y_v", "rad/s", "measured velocity")),
     }
+    inputs = {name: ca.fmax(ca.fmin(value, LARGEST_INPUT), -LARGEST_INPUT) for name, value in inputs.items()}
     p = system.namespace(f"{method.name}.")
     for state in method.states:
         system.sampled(_with_start(state, p))

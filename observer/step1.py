@@ -23,7 +23,11 @@ LEAST_SPEED = 1e-9  # rad/s, below which nothing moves
 MEMORY = 100.0  # s, in which the companion of a gradient law forgets
 GATE_POWER = 4  # power of the gate with which a sample counts that came from a lower one
 VALID_SHARE = 0.08  # standard deviation of a valid estimate over its size, of the load over Fc
-STATES = (*excitation.STATES, *COMPANION.states, State("gate_reached", "rad/s", "highest gate so far"))
+STATES = (
+    *excitation.STATES,
+    *COMPANION.states,
+    State("gate_reached", "rad/s", "highest gate of a sample that counted", initial=LEAST_SPEED),
+)
 VALID_DELAY = 0.1  # samples, standard deviation of a valid delay
 IMPOSSIBLE_BY = 2.0  # standard deviations below zero at which a friction refutes the model
 LONGEST_FOUND = 1e3  # samples, beyond which a delay is no delay
@@ -52,9 +56,13 @@ def fit(p: Namespace, sample: Row, gate: SX, kept: SX, period: SX) -> dict[str, 
 
     `kept`: share that a sample leaves of what was known.
     """
-    reached = ca.fmax(p.gate_reached, gate)
-    kept = kept * (p.gate_reached / reached) ** GATE_POWER
-    return COMPANION.advance(p, sample, kept, period) | {"gate_reached": reached}
+    reached = {"gate_reached": ca.fmax(p.gate_reached, ca.if_else(sample.counts, gate, LEAST_SPEED))}
+    return COMPANION.advance(p, sample, kept * left(p, reached), period) | reached
+
+
+def left(p: Namespace, shared: Mapping[str, SX]) -> SX:
+    """Return the share of what was known that a rise of the gate leaves; `shared`: next states of the methods of step 1."""
+    return SX((p.gate_reached / shared["gate_reached"]) ** GATE_POWER)
 
 
 def falling(speed: SX, gate: SX) -> SX:
@@ -65,9 +73,13 @@ def falling(speed: SX, gate: SX) -> SX:
 def published(p: Namespace, own: Mapping[str, SX], period: SX) -> dict[str, Any]:
     """Return the fields of an `Update` for a method's own estimates; load and delay are the companion's where it has none.
 
-    A friction that is negative for sure refutes the model, and then nothing is valid.
+    A least squares whose friction is negative for sure refutes the model, and then nothing is valid.
     """
-    found = COMPANION.narrow(p) | dict(own)
+    fitted = COMPANION.narrow(p)
+    spread, found = COMPANION.deviations(p, fitted), fitted | dict(own)
+    possible = SX(1)
+    for name in ("alpha2", "Fc"):
+        possible = ca.logic_and(possible, fitted[name] > -IMPOSSIBLE_BY * spread[name])
     sd = COMPANION.deviations(p, found)
     alpha2, b, friction, load, late = (found[name] for name in COMPANION.names)
     samples = b / (b**2 + LEAST_SQUARE) / period
@@ -75,6 +87,5 @@ def published(p: Namespace, own: Mapping[str, SX], period: SX) -> dict[str, Any]
     sd |= {"delay": ca.fmin(sd.pop("late_drive") * ca.fabs(samples), LONGEST_FOUND)}
     sizes = {"alpha2": alpha2, "b": ca.fabs(b), "Fc": friction, "load": friction}
     limits = {name: VALID_SHARE * size for name, size in sizes.items()} | {"delay": SX(VALID_DELAY)}
-    possible = ca.logic_and(alpha2 > -IMPOSSIBLE_BY * sd["alpha2"], friction > -IMPOSSIBLE_BY * sd["Fc"])
     estimates = {"alpha2": alpha2, "b": b, "Fc": friction, "load": load, "delay": delay + p.delay}
     return {"estimates": estimates, **COMPANION.judge(p, sd, limits, possible)}
