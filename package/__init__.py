@@ -95,6 +95,7 @@ def run(
         If the scenario cannot be read, or an FMU cannot be built or refuses to start. Nothing is written then. A simulation that
         diverges is no error: its verdict is ``"fail"``.
     """
+    from bristle.common.output import plain
     from bristle.harness.catalogue import find_scenario
     from bristle.harness.run import Options
     from bristle.harness.run import run as run_scenario
@@ -103,7 +104,7 @@ def run(
     chosen = seed if seed is None else as_whole_number("seed", seed)
     options = Options(as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS), _overrides(overrides), chosen)
     done = run_scenario(path, folder, options)
-    return Result(done.result, done.folder)
+    return Result(plain(done.result), done.folder)
 
 
 def reproduce(out: PathLike = "out", *, progress: Callable[[str, float], None] | None = None) -> Reproduction:
