@@ -16,7 +16,7 @@ from bristle import observer
 from bristle.common.plugins import catalogue_modules
 from bristle.diagnosis.modelfile import ModelTable
 from bristle.harness.metrics import CHECK_QUANTITIES
-from bristle.harness.plan import BUS_PORTS
+from bristle.harness.plan import BUS_PORTS, FREE_INPUTS
 from bristle.harness.scenario import Scenario
 from bristle.model.declarations import ENTRY
 from bristle.model.variables import Parameter
@@ -167,7 +167,7 @@ def scenario_page(shown: Catalogue | None = None) -> str:
     offered_laws, offered_methods = (
         [n for n in known if n in names[k]] for k, known in (("laws", laws()), ("observers", methods()))
     )
-    inputs = BUS_PORTS["plant"]["inputs"]
+    inputs = {name: (unit, BUS_PORTS[unit]["inputs"][name]) for unit, free in FREE_INPUTS.items() for name in free}
     offered_effects = [*(name for name in effects() if name in names["effects"]), *SIGNAL_EFFECTS]
     choices = {
         ("Plant", "law"): offered_laws,
@@ -176,8 +176,9 @@ def scenario_page(shown: Catalogue | None = None) -> str:
         ("Stimulus", "variable"): list(inputs),
     }
     text = [SCENARIO_HEAD, *key_tables(Scenario, choices), "## Stimuli", ""]
-    text += ["Inputs of the plant that `[[stimuli]]` may change. `u` takes the place of the controller.", "", "| variable | unit |"]
-    text += ["|---|---|", *(f"| `{name}` | {unit} |" for name, unit in inputs.items()), CHECKS_HEAD]
+    text += ["Inputs that `[[stimuli]]` may change. `u` takes the place of the controller, `u_ff` is added to its voltage.", ""]
+    text += ["| variable | of the | unit |", "|---|---|---|"]
+    text += [*(f"| `{name}` | {part} | {unit} |" for name, (part, unit) in inputs.items()), CHECKS_HEAD]
     text += [f"| `{path}` | {unit} | {meaning} |" for path, (unit, meaning) in CHECK_QUANTITIES.items()]
     return "\n".join([*text, ""])
 

@@ -54,11 +54,10 @@ def _description(exposed: Exposed) -> str:
     return f"{variable.description} ({variable.symbol})" if isinstance(variable, Parameter) else variable.description
 
 
-def _start(exposed: Exposed) -> float | int | None:
+def _start(exposed: Exposed) -> float | int | bool | None:
     """Return the start value where the standards require one: of what can be set."""
-    if not exposed.settable:
-        return None
-    return int(exposed.slot.start) if exposed.type == "Enumeration" else float(exposed.slot.start)
+    kind = {"Enumeration": int, "Boolean": bool}.get(exposed.type, float)
+    return kind(exposed.slot.start) if exposed.settable else None
 
 
 def _limit(value: float | None, exposed: Exposed) -> float | int | None:

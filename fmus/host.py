@@ -145,7 +145,8 @@ class Fmu:
 
     def start(self, name: str) -> float:
         """Return the start value of a numeric variable."""
-        return float(self.variables[name].start)
+        start = self.variables[name].start
+        return float(start in ("true", "1")) if self.variables[name].type in _BOOLEAN else float(start)
 
     def parameter(self, name: str, given: object, known: Sequence[str] = (), written: Written | None = None) -> Value:
         """Check a parameter's value as a user writes it and return it in the FMU's unit.

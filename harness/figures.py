@@ -28,6 +28,7 @@ from bristle.common.drawing import (
 )
 from bristle.harness.metrics import SETTLING_BAND, Course
 from bristle.harness.rig import Rig
+from bristle.harness.tracking import Tracking
 from bristle.harness.validation import Validation
 
 Array = NDArray[np.float64]
@@ -66,6 +67,7 @@ class Pictures:
     friction: tuple[Array, Array] | None = None  # v, F/J of the plant
     friction_hat: tuple[Array, Array] | None = None
     validation: Validation | None = None
+    tracking: Tracking | None = None
 
     @property
     def step(self) -> float:
@@ -90,7 +92,8 @@ def draw(pictures: Pictures) -> dict[str, str]:
     made = {}
     with rc_context(STYLE):
         for name, painter in (
-            ("estimates", _estimates), ("signals", _signals), ("friction", _friction), ("validation", _validation),
+            ("estimates", _estimates), ("signals", _signals), ("tracking", _tracking), ("friction", _friction),
+            ("validation", _validation),
         ):  # fmt: skip
             figure = painter(pictures)
             if figure is not None:
@@ -214,6 +217,30 @@ def _signals(pictures: Pictures) -> Any:
     if "u" in signals:
         bottom.plot(time, signals["u"][index], color=INK, linewidth=1.0)
     set_labels(bottom, x="time, s", y=INPUT_LABELS[pictures.rig.input])
+    bottom.set_xlim(time[0], time[-1])
+    return figure
+
+
+# -- tracking --------------------------------------------------------------------------------------------------------
+
+
+def _tracking(pictures: Pictures) -> Any:
+    found = pictures.tracking
+    if found is None or len(found.time) < 2:
+        return None
+    figure = new_figure(11.0, 4.2)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1, 1.3])
+    index = np.arange(len(found.time))[_window(found.time)]
+    index = index[thin(len(index), 2000)]
+    time = found.time[index]
+    top.plot(time, found.reference[index] * DEGREES, color=INK, linewidth=0.9, label="reference")
+    for error, colour, label in ((found.alone, ORANGE, "controller alone"), (found.compensated, BLUE, "with compensation")):
+        top.plot(time, (found.reference - error)[index] * DEGREES, color=colour, linewidth=1.0)
+        bottom.plot(time, error[index] * DEGREES, color=colour, linewidth=1.0, label=label)
+    bottom.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
+    top.legend(loc="upper right", bbox_to_anchor=(1.0, 1.2))
+    set_labels(top, y="velocity, deg/s")
+    set_labels(bottom, x="time, s", y="tracking error, deg/s")
     bottom.set_xlim(time[0], time[-1])
     return figure
 

@@ -14,16 +14,20 @@
 typedef void (*Function)(void);
 typedef int (*Set2)(void *, const unsigned *, size_t, const double *);
 typedef int (*Get2)(void *, const unsigned *, size_t, double *);
+typedef int (*SetFlag2)(void *, const unsigned *, size_t, const int *);
+typedef int (*GetFlag2)(void *, const unsigned *, size_t, int *);
 typedef int (*Step2)(void *, double, double, int);
 typedef int (*Set3)(void *, const unsigned *, size_t, const double *, size_t);
 typedef int (*Get3)(void *, const unsigned *, size_t, double *, size_t);
+typedef int (*SetFlag3)(void *, const unsigned *, size_t, const bool *, size_t);
+typedef int (*GetFlag3)(void *, const unsigned *, size_t, bool *, size_t);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
 
 typedef struct {
     void *instance;
-    Function set, get, step;
-    int fmi, n_in, n_out;
-    const unsigned *in_vr, *out_vr;
+    Function set, get, set_flag, get_flag, step;
+    int fmi, n_in, n_out, n_in_flags, n_out_flags;
+    const unsigned *in_vr, *out_vr; /* numbers, then Booleans, which the bus carries as 0 and 1 */
     double *in, *out;
 } Unit;
 
@@ -47,18 +51,42 @@ typedef struct {
 
 enum { OK = 0, WARNING = 1, ERROR = 3 }; /* of both FMI 2 and FMI 3 */
 
+static int set_flag(const Unit *u, int place)
+{
+    const bool three = u->in[place] != 0.0;
+    const int two = three;
+    return u->fmi == 3 ? ((SetFlag3)u->set_flag)(u->instance, &u->in_vr[place], 1, &three, 1)
+                       : ((SetFlag2)u->set_flag)(u->instance, &u->in_vr[place], 1, &two);
+}
+
+static int get_flag(const Unit *u, int place, double *out)
+{
+    bool three = false;
+    int two = 0;
+    const int status = u->fmi == 3 ? ((GetFlag3)u->get_flag)(u->instance, &u->out_vr[place], 1, &three, 1)
+                                   : ((GetFlag2)u->get_flag)(u->instance, &u->out_vr[place], 1, &two);
+    *out = three || two;
+    return status;
+}
+
 static int unit_set(const Unit *u)
 {
-    if (u->n_in == 0) return OK;
-    return u->fmi == 3 ? ((Set3)u->set)(u->instance, u->in_vr, (size_t)u->n_in, u->in, (size_t)u->n_in)
-                       : ((Set2)u->set)(u->instance, u->in_vr, (size_t)u->n_in, u->in);
+    int status = OK;
+    if (u->n_in > 0)
+        status = u->fmi == 3 ? ((Set3)u->set)(u->instance, u->in_vr, (size_t)u->n_in, u->in, (size_t)u->n_in)
+                             : ((Set2)u->set)(u->instance, u->in_vr, (size_t)u->n_in, u->in);
+    for (int i = 0; i < u->n_in_flags && status <= WARNING; i++) status = set_flag(u, u->n_in + i);
+    return status;
 }
 
 static int unit_get(const Unit *u, double *out)
 {
-    if (u->n_out == 0) return OK;
-    return u->fmi == 3 ? ((Get3)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out, (size_t)u->n_out)
-                       : ((Get2)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out);
+    int status = OK;
+    if (u->n_out > 0)
+        status = u->fmi == 3 ? ((Get3)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out, (size_t)u->n_out)
+                             : ((Get2)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out);
+    for (int i = 0; i < u->n_out_flags && status <= WARNING; i++) status = get_flag(u, u->n_out + i, &out[u->n_out + i]);
+    return status;
 }
 
 static int unit_step(const Unit *u, double time, double h)

@@ -125,8 +125,8 @@ class Trace:
 class _Unit(ctypes.Structure):
     _fields_ = [
         ("instance", ctypes.c_void_p),
-        ("set", ctypes.c_void_p), ("get", ctypes.c_void_p), ("step", ctypes.c_void_p),
-        ("fmi", ctypes.c_int), ("n_in", ctypes.c_int), ("n_out", ctypes.c_int),
+        *((name, ctypes.c_void_p) for name in ("set", "get", "set_flag", "get_flag", "step")),
+        *((name, ctypes.c_int) for name in ("fmi", "n_in", "n_out", "n_in_flags", "n_out_flags")),
         ("in_vr", ctypes.c_void_p), ("out_vr", ctypes.c_void_p),
         ("in_", ctypes.c_void_p), ("out", ctypes.c_void_p),
     ]  # fmt: skip
@@ -177,23 +177,27 @@ def _pointer(array: NDArray[Any]) -> int:
 
 
 class Node:
-    """A slave with the memory its inputs and outputs live in."""
+    """A slave with the memory its inputs and outputs live in: numbers, then Booleans as 0 and 1."""
 
     def __init__(self, slave: Slave, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         fmu = slave.fmu
-        self.slave, self.inputs, self.outputs = slave, list(inputs), list(outputs)
-        self.in_vr = np.array([fmu.reference(name) for name in inputs], dtype=np.uint32)
-        self.out_vr = np.array([fmu.reference(name) for name in outputs], dtype=np.uint32)
-        self.input = np.array([fmu.start(name) for name in inputs], dtype=float)
-        self.output = np.zeros(len(outputs))
+        self.slave = slave
+        self.inputs, self.outputs = (sorted(names, key=lambda name: not fmu.is_real(name)) for names in (inputs, outputs))
+        self.numbers = tuple(sum(map(fmu.is_real, names)) for names in (self.inputs, self.outputs))
+        self.in_vr = np.array([fmu.reference(name) for name in self.inputs], dtype=np.uint32)
+        self.out_vr = np.array([fmu.reference(name) for name in self.outputs], dtype=np.uint32)
+        self.input = np.array([fmu.start(name) for name in self.inputs], dtype=float)
+        self.output = np.zeros(len(self.outputs))
 
     def structure(self) -> _Unit:
         """Return what the compiled loop needs to know."""
         three, address = self.slave.fmu.fmi == 3, self.slave.address
-        names = ("fmi3SetFloat64", "fmi3GetFloat64", "fmi3DoStep") if three else ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
+        prefix, number = ("fmi3", "Float64") if three else ("fmi2", "Real")
+        names = [f"{prefix}{each}" for each in (f"Set{number}", f"Get{number}", "SetBoolean", "GetBoolean", "DoStep")]
         arrays = map(_pointer, (self.in_vr, self.out_vr, self.input, self.output))
         component = ctypes.cast(self.slave.instance.component, ctypes.c_void_p)
-        return _Unit(component, *map(address, names), 3 if three else 2, len(self.inputs), len(self.outputs), *arrays)
+        flags = [len(whole) - numbers for whole, numbers in zip((self.inputs, self.outputs), self.numbers, strict=True)]
+        return _Unit(component, *map(address, names), 3 if three else 2, *self.numbers, *flags, *arrays)
 
     def place(self, name: str) -> tuple[Array, int]:
         """Return the array that holds a variable, and its index in it."""
@@ -205,22 +209,30 @@ class Node:
 
     def read(self) -> None:
         """Read the outputs."""
-        if self.outputs:
-            get = self.slave.instance.getFloat64 if self.slave.fmu.fmi == 3 else self.slave.instance.getReal
-            self.output[:] = get(self.out_vr.tolist())
+        instance, n = self.slave.instance, self.numbers[1]
+        vr = self.out_vr.tolist()
+        if n:
+            self.output[:n] = (instance.getFloat64 if self.slave.fmu.fmi == 3 else instance.getReal)(vr[:n])
+        if vr[n:]:
+            self.output[n:] = instance.getBoolean(vr[n:])
+
+    def _write(self) -> None:
+        instance, n = self.slave.instance, self.numbers[0]
+        vr, values = self.in_vr.tolist(), self.input.tolist()
+        if n:
+            (instance.setFloat64 if self.slave.fmu.fmi == 3 else instance.setReal)(vr[:n], values[:n])
+        if vr[n:]:
+            instance.setBoolean(vr[n:], [value != 0.0 for value in values[n:]])
 
     def step(self, time: float, h: float) -> None:
         """Set the inputs, do a step, read the outputs."""
         instance = self.slave.instance
+        self._write()
         if self.slave.fmu.fmi == 3:
-            if self.inputs:
-                instance.setFloat64(self.in_vr.tolist(), self.input.tolist())
             _, terminate, early, _ = instance.doStep(time, h)
             if terminate or early:
                 raise RuntimeError("it asked to end the simulation")
         else:
-            if self.inputs:
-                instance.setReal(self.in_vr.tolist(), self.input.tolist())
             instance.doStep(time, h)
         self.read()
 

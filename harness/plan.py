@@ -22,10 +22,14 @@ BUS_PORTS = {
         "inputs": {"u": "V", "tau_load": "N.m", "load_scale": "1"},
         "outputs": {"theta": "rad", "v": "rad/s", "F": "N.m", "theta_enc": "rad", "v_enc": "rad/s"},
     },
-    "controller": {"inputs": {"y_v": "rad/s"}, "outputs": {"u": "V", "reference": "rad/s"}},
+    "controller": {
+        "inputs": {"y_v": "rad/s", "u_ff": "V", "reference_scale": "1"},
+        "outputs": {"u": "V", "reference": "rad/s", "u_compensation": "V"},
+    },
     "observer": {"inputs": {"u": "V", "y_theta": "rad", "y_v": "rad/s"}, "outputs": {}},
 }
 NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
+FREE_INPUTS = {"plant": ("u", "tau_load", "load_scale"), "controller": ("u_ff", "reference_scale")}  # which a stimulus may drive
 SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}  # plant outputs: position, velocity
 WHOLE_PARAMETERS = {"controller": ("seed", "order"), "plant": ("input_noise.seed",)}  # Real parameters that only take whole values
 SELECTOR_PARAMETERS = {"plant": "law", "observer": "method"}  # parameter that chooses among several
@@ -144,13 +148,20 @@ def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:
         setup = Setup(loaded, fmus, values, samples, h)
         _tell_resolution(setup, samples.resolution)
         return setup
-    plant = fmus["plant"]
-    stimuli = read_stimuli(loaded, plant, [name for name in BUS_PORTS["plant"]["inputs"] if plant.has(name, "input")], h)
+    free = {
+        name: (unit, fmus[unit])
+        for unit, names in FREE_INPUTS.items()
+        if unit in fmus
+        for name in names
+        if fmus[unit].has(name, "input")
+    }
+    stimuli = read_stimuli(loaded, free, h)
     setup = Setup(loaded, fmus, values, samples, h, stimuli)
     _check_sensors(setup)
     _tell_resolution(setup, _encoder_step(setup))
     validated = round(scenario.validation.duration / h) if scenario.validation else 0
-    check_range(loaded, plant, stimuli, max(setup.steps, validated), h)
+    check_range(loaded, free, stimuli, max(setup.steps, validated), h)
+    _check_compensation(setup)
     return setup
 
 
@@ -193,6 +204,40 @@ def _check_sensors(setup: Setup) -> None:
                 raise setup.loaded.error(key, choice, f"the plant has no output '{output}'; write {key} = \"clean\"")
     if not any(setup.fmus["observer"].has(name, "input") for name in ("y_theta", "y_v")):
         raise setup.loaded.error("observer.fmu", str(setup.fmus["observer"].path), "has neither input y_theta nor y_v; add one")
+
+
+def _check_compensation(setup: Setup) -> None:
+    """Refuse a compensation for which an FMU has no variables."""
+    wanted = setup.scenario.controller.compensation
+    if wanted == "none":
+        return
+    links = _compensation_links(setup)
+    for (_, given), (_, taken) in links:
+        units = setup.fmus["observer"].unit(given), setup.fmus["controller"].unit(taken)
+        if units[0] != units[1]:
+            message = (
+                f"output {given} of the observer is in {units[0]}, the controller takes {taken} in {units[1]}; make them equal"
+            )
+            raise setup.loaded.error("controller.compensation", wanted, message)
+    if not links:
+        message = "the controller has no input P_hat for an output P_hat of the observer; give its FMU such inputs, or write none"
+        raise setup.loaded.error("controller.compensation", wanted, message)
+    if wanted == "adapted" and not setup.fmus["observer"].has(wanted, "output"):
+        raise setup.loaded.error("controller.compensation", wanted, "the observer has no output 'adapted'; write \"valid\"")
+
+
+def _compensation_links(setup: Setup) -> list[tuple[Port, Port]]:
+    """Return the links that lead estimates to the inputs of the controller with the same names, and to P_valid what counts."""
+    observer, controller = setup.fmus["observer"], setup.fmus["controller"]
+    wanted, links = setup.scenario.controller.compensation, []
+    for hat in observer.names("output"):
+        valid = f"{hat.removesuffix('_hat')}_valid"
+        if hat.endswith("_hat") and controller.has(hat, "input"):
+            links.append((("observer", hat), ("controller", hat)))
+            counts = wanted if wanted == "adapted" else valid
+            if observer.has(counts, "output") and controller.has(valid, "input"):
+                links.append((("observer", counts), ("controller", valid)))
+    return links
 
 
 def _encoder_step(setup: Setup) -> float | None:
@@ -250,11 +295,22 @@ def identification(setup: Setup) -> Bus:
     for source, to in zip(setup.sensor, ("y_theta", "y_v"), strict=True):
         if observer.has(to, "input"):
             links.append((("plant", source), ("observer", to)))
+    if setup.scenario.controller.compensation != "none":
+        links += _compensation_links(setup)
     return Bus(
         _instances(setup, (*driven, "plant", "observer")), setup.steps, setup.h,
         links=tuple(links), events=events(setup.stimuli), series=series(setup.stimuli, setup.steps, setup.h),
         record=tuple(port for unit in (*driven, "plant", "observer") for port in setup.ports(unit)),
         flags=_plant_flags(setup) + flags, watch=("observer",),
+    )  # fmt: skip
+
+
+def uncompensated(setup: Setup) -> Bus:
+    """Return the bus of the same run with the controller alone: nothing of the observer reaches it."""
+    return Bus(
+        _instances(setup, ("controller", "plant")), setup.steps, setup.h,
+        links=tuple(_loop_links(setup)), events=events(setup.stimuli), series=series(setup.stimuli, setup.steps, setup.h),
+        record=setup.ports("controller") + setup.ports("plant"),
     )  # fmt: skip
 
 
@@ -266,7 +322,8 @@ def validation(setup: Setup) -> Bus:
         raise setup.loaded.error("validation.seed", demand.seed, "the controller FMU has no parameter 'seed'; remove [validation]")
     if demand.seed == setup.values["controller"].get("seed", setup.fmus["controller"].start("seed")):
         raise setup.loaded.error("validation.seed", demand.seed, "is the seed of the identification record; choose another one")
-    loads, steps = [stimulus.settled() for stimulus in setup.stimuli], round(demand.duration / setup.h)
+    loads = [stimulus.settled() for stimulus in setup.stimuli if stimulus.unit == "plant"]
+    steps = round(demand.duration / setup.h)
     controller = Instance("controller", setup.fmus["controller"], {**setup.values["controller"], "seed": demand.seed})
     return Bus(
         (controller, *_instances(setup, ("plant",))), steps, setup.h,

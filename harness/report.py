@@ -25,6 +25,9 @@ CAPTIONS = {
     "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band. "
                   "Dotted green: the last time the error leaves the band. Above each: final error and that time. " + BANDS),
     "signals": ("Signals", "The last ten seconds of the run."),
+    "tracking": ("Tracking with compensation and without",
+                 "The last ten seconds: velocity and its difference from the reference, in this run and in one in which nothing of "
+                 "the observer reaches the controller."),
     "friction": ("Friction curve", "Friction over inertia against velocity, viscous part included, late in the run."),
     "validation": ("Validation on a second record", "Open loop from rest: the models get the voltage only. Left: the last ten "
                    "seconds and the errors of all models. Right: eq. (25), 100 var(error)/var(velocity)."),

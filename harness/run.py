@@ -24,9 +24,10 @@ from bristle.harness import metrics, results
 from bristle.harness.fit import Data
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import Bus, Trace, simulate
-from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare
+from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare, uncompensated
 from bristle.harness.plan import validation as validation_bus
 from bristle.harness.scenario import load
+from bristle.harness.tracking import Tracking, tracking
 from bristle.harness.validation import (
     BASELINES,
     Validation,
@@ -123,11 +124,13 @@ def _check_quantities(setup: Setup) -> None:
     observer, scenario = setup.fmus["observer"], setup.scenario
     hats = [name.removesuffix("_hat") for name in observer.names("output") if name.endswith("_hat")]
     known = metrics.check_quantities([name for name in hats if observer.has(f"{name}_valid", "output")], list(BASELINES))
-    absent = [part for part in ("validation", "record") if getattr(scenario, part) is None]
+    absent = [f"[{part}]" for part in ("validation", "record") if getattr(scenario, part) is None]
+    absent += ["compensation"] if scenario.controller.compensation == "none" else []
     for i, demand in enumerate(scenario.checks):
         part, key = demand.quantity.partition(".")[0], f"checks[{i}].quantity"
-        if part in absent:
-            raise setup.loaded.error(key, demand.quantity, f"the scenario has no [{part}]; add it or remove the check")
+        needed = "compensation" if part == "tracking" else f"[{part}]"
+        if needed in absent:
+            raise setup.loaded.error(key, demand.quantity, f"the scenario has no {needed}; add it or remove the check")
         if demand.quantity not in known:
             what = f"no number of the result{suggest(demand.quantity, known)}"
             raise setup.loaded.error(key, demand.quantity, f"{what}; choose one of the check quantities in the scenario reference")
@@ -153,6 +156,7 @@ class Outcome:
     view: View
     validated: Validation | None
     findings: tuple[str, ...] = ()  # as of `Run`
+    tracking: Tracking | None = None
 
 
 def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
@@ -163,14 +167,18 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     with clock.stage("metrics"):
         view = View(setup, trace)
         result = _measure(setup, trace, view) | {"provenance": _provenance(checked)}
-    validated = None
+    validated = followed = None
+    if setup.scenario.controller.compensation != "none" and trace.failure is None:
+        with clock.stage("the same run without compensation"):
+            followed = tracking(trace, _second_run(setup, uncompensated(setup), "controller.compensation"))
+            result["tracking"] = followed.as_dict()
     if setup.scenario.validation is not None and trace.failure is None:
         with clock.stage("validation: second record and fits"):
             tell("validation and fits", 0, 0)
             validated = _validate(setup, result, view, checked.lean)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
     findings = (*(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
-    return Outcome(result, view, validated, findings)
+    return Outcome(result, view, validated, findings, followed)
 
 
 def execute(checked: Checked, progress: Progress | None = None) -> Run:
@@ -277,17 +285,23 @@ def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
 
 
 def _validate(setup: Setup, result: Mapping[str, Any], view: View, fmus: Mapping[str, Fmu]) -> Validation:
-    second = _simulate(validation_bus(setup))
-    if second.failure is not None:
-        failure = second.failure
-        what = f"the second record ended at {failure.time:g} s: {failure.unit}: {failure.message}"
-        raise setup.loaded.error("validation", None, f"{what}; change validation.seed or validation.duration")
+    second = _second_run(setup, validation_bus(setup), "validation")
     identified = identified_model(result["estimates"], given_parameters(setup, setup.values["observer"]), fmus)
     demand = setup.scenario.validation
     assert demand is not None
     data = identification_data(setup, view.signals["u"], view.sensed["theta"], view.sensed["v"])
     other = Data(second["controller", "u"], second["plant", "v"], second.h)
     return validate(data, other, identified, fmus, demand.baselines)
+
+
+def _second_run(setup: Setup, bus: Bus, key: str) -> Trace:
+    """Run a bus that must run to its end; `key` is what asks for it in the scenario file."""
+    second = _simulate(bus)
+    if second.failure is not None:
+        failure = second.failure
+        what = f"the second run ended at {failure.time:g} s: {failure.unit}: {failure.message}"
+        raise setup.loaded.error(key, None, f"{what}; change the scenario so that it runs to its end, or remove this key")
+    return second
 
 
 def _provenance(checked: Checked) -> dict[str, Any]:
@@ -335,7 +349,7 @@ def _files(setup: Setup, found: Outcome, clock: _Clock, full: bool) -> dict[str,
 
     begin = time.perf_counter()
     result, view = found.result, found.view
-    figures = draw(_pictures(result, view, found.validated))
+    figures = draw(_pictures(found))
     columns = {"time": view.time, **view.signals, **view.observed}
     csv = results.to_csv(columns, full)
     scenario = setup.scenario
@@ -350,13 +364,14 @@ def _files(setup: Setup, found: Outcome, clock: _Clock, full: bool) -> dict[str,
     return {"result.json": to_json(result), "signals.csv": csv, "report.html": page, **files}
 
 
-def _pictures(result: Mapping[str, Any], view: View, validated: Validation | None) -> Any:
+def _pictures(found: Outcome) -> Any:
     from bristle.harness.figures import Pictures
 
+    result, view = found.result, found.view
     late = slice(int((1 - LATE_FRICTION) * len(view.time)), None)
     pictures = Pictures(view.time, result["estimates"], view.published, view.true, rig=view.rig, measured="record" in result)
     pictures.signals = {**view.signals, **({"v_hat": view.estimated["v"]} if "v" in view.estimated else {})}
-    pictures.validation = validated
+    pictures.validation, pictures.tracking = found.validated, found.tracking
     if view.friction is not None:
         pictures.friction = (view.signals["v"][late], view.friction[late])
     if {"v", "F"} <= set(view.estimated):

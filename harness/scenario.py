@@ -73,6 +73,10 @@ class Plant(Part):
 class Controller(Part):
     """The reference generator and PI controller: input y_v, outputs u, reference."""
 
+    compensation: Literal["none", "valid", "adapted"] = "none"
+    """Which estimates the controller gets, to compensate friction and inertia: those that are valid, or all, on trial, once
+    adapted. The same run without them is compared."""
+
 
 class Observer(Part):
     """The adaptive observer: a method of bristle, or an FMU with inputs u, y_theta, y_v and outputs P_hat, P_valid."""
@@ -104,12 +108,12 @@ class Noise(Section):
 
 
 class Stimulus(Section):
-    """A plant input over time: steps at points in time, and what is added to them; one of u takes the place of the controller."""
+    """An input over time: steps at points in time, and what is added to them; one of u takes the place of the controller."""
 
     variable: str
-    """Input of the plant."""
+    """Input of the plant (u, tau_load, load_scale) or of the controller (u_ff, reference_scale)."""
     points: list[tuple[Given, Given]] = Field(default=[], min_length=1)
-    """Pairs [time, value]: from this time on the input has this value; before the first it is 1 (load_scale) or 0."""
+    """Pairs [time, value]: from this time on the input has this value; before the first it is 1 (the scales) or 0."""
     sine: Sine | None = None
     """A sine that is added."""
     noise: Noise | None = None
@@ -191,7 +195,7 @@ class Scenario(Section):
     controller_sensor: Literal["clean", "encoder"] = "clean"
     """What the controller reads."""
     stimuli: list[Stimulus] = Field(default=[])
-    """Inputs of the plant that change at given times."""
+    """Inputs of plant and controller that change at given times."""
     record: Record | None = Field(default=None, validate_default=True)
     """A measured file in place of plant and controller."""
     validation: Validation | None = None

@@ -1,9 +1,9 @@
-"""Stimuli: inputs of the plant over time, as steps, a sine and coloured noise in SI units, checked against the plant."""
+"""Stimuli: inputs of plant and controller over time, as steps, a sine and coloured noise in SI units, checked against the FMU."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,20 +17,21 @@ from bristle.harness.scenario import Loaded, Noise, Sine, Stimulus
 
 Array = NDArray[np.float64]
 Event = tuple[int, Port, float]
+Free = Mapping[str, tuple[str, Fmu]]  # input -> the unit that has it, and its FMU
 
 START_DRAWS = 12  # uniform draws whose sum, nearly Gaussian, is the start of coloured noise
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One input of the plant over time.
+    """One input over time.
 
     Attributes
     ----------
     key : str
         Where it is in the scenario, for errors.
-    variable : str
-        Input of the plant.
+    variable, unit : str
+        Input, and the unit on the bus that has it.
     start : float
         Value before the first of the levels.
     levels : tuple of (int, float)
@@ -41,6 +42,7 @@ class Signal:
 
     key: str
     variable: str
+    unit: str
     start: float
     levels: tuple[tuple[int, float], ...]
     sine: tuple[Sine, float] | None = None
@@ -49,7 +51,7 @@ class Signal:
     @property
     def ports(self) -> tuple[Port, ...]:
         """The inputs that receive it: a voltage goes to the observer too."""
-        return tuple((unit, self.variable) for unit in (("plant", "observer") if self.variable == "u" else ("plant",)))
+        return tuple((unit, self.variable) for unit in (("plant", "observer") if self.variable == "u" else (self.unit,)))
 
     @property
     def varying(self) -> bool:
@@ -72,7 +74,7 @@ class Signal:
     def settled(self) -> Signal:
         """Return it with its last level from the beginning."""
         level = self.levels[-1][1] if self.levels else self.start
-        return Signal(self.key, self.variable, self.start, ((0, level),), self.sine, self.noise)
+        return Signal(self.key, self.variable, self.unit, self.start, ((0, level),), self.sine, self.noise)
 
 
 def coloured(count: int, corner: float, seed: int) -> Array:
@@ -92,34 +94,36 @@ def coloured(count: int, corner: float, seed: int) -> Array:
     return np.asarray(lfilter([1.0], [1.0, -a], gain * white))
 
 
-def read_stimuli(loaded: Loaded, plant: Fmu, inputs: Sequence[str], h: float) -> tuple[Signal, ...]:
-    """Return the stimuli of a scenario for a plant whose free inputs are `inputs`, at a step of h seconds.
+def read_stimuli(loaded: Loaded, free: Free, h: float) -> tuple[Signal, ...]:
+    """Return the stimuli of a scenario, whose units have the `free` inputs, at a step of h seconds.
 
     Raises
     ------
     BristleError
         One line with file, key, value and what is allowed.
     """
-    return tuple(_signals(loaded, plant, inputs, h))
+    return tuple(_signals(loaded, free, h))
 
 
-def _signals(loaded: Loaded, plant: Fmu, inputs: Sequence[str], h: float) -> Iterator[Signal]:
+def _signals(loaded: Loaded, free: Free, h: float) -> Iterator[Signal]:
     stimuli = loaded.scenario.stimuli
     for i, stimulus in enumerate(stimuli):
         key, name = f"stimuli[{i}]", stimulus.variable
         if name in [earlier.variable for earlier in stimuli[:i]]:
             raise loaded.error(f"{key}.variable", name, "has a stimulus already; put all points into one")
-        if name not in inputs:
-            message = f"no free input of the plant{suggest(name, inputs)}; choose one of: {', '.join(inputs) or 'none'}"
+        if name not in free:
+            known = suggest(name, list(free))
+            message = f"no free input of plant or controller{known}; choose one of: {', '.join(free) or 'none'}"
             raise loaded.error(f"{key}.variable", name, message)
+        unit, fmu = free[name]
         sine = noise = None
         if stimulus.sine is not None:
-            sine = (stimulus.sine, _size(loaded, f"{key}.sine.amplitude", stimulus.sine.amplitude, plant.unit(name)))
+            sine = (stimulus.sine, _size(loaded, f"{key}.sine.amplitude", stimulus.sine.amplitude, fmu.unit(name)))
             _below_nyquist(loaded, f"{key}.sine.frequency", stimulus.sine.frequency, h)
         if stimulus.noise is not None:
-            noise = (stimulus.noise, _size(loaded, f"{key}.noise.rms", stimulus.noise.rms, plant.unit(name)))
+            noise = (stimulus.noise, _size(loaded, f"{key}.noise.rms", stimulus.noise.rms, fmu.unit(name)))
             _below_nyquist(loaded, f"{key}.noise.bandwidth", stimulus.noise.bandwidth, h)
-        yield Signal(key, name, plant.start(name), tuple(_levels(loaded, key, stimulus, plant, h)), sine, noise)
+        yield Signal(key, name, unit, fmu.start(name), tuple(_levels(loaded, key, stimulus, fmu, h)), sine, noise)
 
 
 def _size(loaded: Loaded, key: str, given: str | int | float | bool, unit: str) -> float:
@@ -137,13 +141,13 @@ def _below_nyquist(loaded: Loaded, key: str, frequency: float, h: float) -> None
         raise loaded.error(key, f"{frequency:g} Hz", f"must be below {0.5 / h:g} Hz, half the rate of the steps; lower it")
 
 
-def _levels(loaded: Loaded, at: str, stimulus: Stimulus, plant: Fmu, h: float) -> Iterator[tuple[int, float]]:
+def _levels(loaded: Loaded, at: str, stimulus: Stimulus, fmu: Fmu, h: float) -> Iterator[tuple[int, float]]:
     """Yield the points: a value set at t is on the bus from the first step that starts at t or later."""
     before = -math.inf
     for j, (when, what) in enumerate(stimulus.points):
         key = f"{at}.points[{j}]"
         try:
-            time, value = _time(when), plant.physical(stimulus.variable, what)
+            time, value = _time(when), fmu.physical(stimulus.variable, what)
         except BristleError as error:
             raise loaded.error(key, f"{when}, {what}", str(error)) from None
         if time <= before or time < 0:
@@ -168,14 +172,15 @@ def series(signals: Sequence[Signal], steps: int, h: float) -> dict[Port, Array]
     return {port: values for s in signals if s.varying for values in [s.values(steps, h)] for port in s.ports}
 
 
-def check_range(loaded: Loaded, plant: Fmu, signals: Sequence[Signal], steps: int, h: float) -> None:
+def check_range(loaded: Loaded, free: Free, signals: Sequence[Signal], steps: int, h: float) -> None:
     """Raise `BristleError` if what is added to the levels leaves the interval of the input within so many steps."""
     for signal in signals:
-        low, high = plant.interval(signal.variable)
+        fmu = free[signal.variable][1]
+        low, high = fmu.interval(signal.variable)
         values = signal.values(steps, h) if signal.varying else np.empty(0)
         beyond = values[(values < low) | (values > high)]
         if len(beyond):
-            unit = plant.unit(signal.variable)
+            unit = fmu.unit(signal.variable)
             reached = f"{beyond[0]:g}" + ("" if unit == "1" else f" {unit}")
             message = f"reaches {reached}, outside {interval(low, high, unit)}; lower the sine or the noise"
             raise loaded.error(signal.key, signal.variable, message)

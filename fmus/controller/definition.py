@@ -6,6 +6,7 @@ import math
 
 import casadi as ca
 
+from bristle.fmus.controller.compensation import ASSUMED_C, FADE_TIME, TEST_TIME, compensation, estimates
 from bristle.model.generator import MODULUS, draw, normal, scrambled
 from bristle.model.program import Program
 from bristle.model.system import SAMPLE_TIME, System
@@ -42,8 +43,8 @@ def _constants(system: System, p: Namespace) -> Namespace:
     return Namespace({**names.symbols, "a": a})
 
 
-def _reference(system: System, p: Namespace) -> SX:
-    """Declare the generator and the low-pass sections; return the clipped reference."""
+def _reference(system: System, p: Namespace, scale: SX) -> tuple[SX, SX, SX]:
+    """Declare the generator and the low-pass sections; return the reference now, after one sample and after two."""
     k = _constants(system, p)
     z1, s = normal(scrambled(p.seed))
     z2, s = normal(s)
@@ -53,23 +54,30 @@ def _reference(system: System, p: Namespace) -> SX:
     random = system.sampled(State("random", "1", "state of the random generator", initial=s))
     x1 = system.sampled(State("x1", "rad/s", "first section", initial=deviation * z1))
     x2 = system.sampled(State("x2", "rad/s", "second section", initial=slope * z1 + rest * z2))
-    following = draw(random)
-    noise = math.sqrt(3) * (2 * following / MODULUS - 1)
-    x1_next = k.a * x1 + (1 - k.a) * k.g * noise
-    system.update("random", following)
-    system.update("x1", x1_next)
-    system.update("x2", k.a * x2 + (1 - k.a) * x1_next)
-    return ca.fmin(ca.fmax(ca.if_else(k.two, x2, x1), -p.clip), p.clip)
+
+    def advance(random: SX, x1: SX, x2: SX) -> tuple[SX, SX, SX]:
+        following = draw(random)
+        noise = math.sqrt(3) * (2 * following / MODULUS - 1)
+        x1_next = k.a * x1 + (1 - k.a) * k.g * noise
+        return following, x1_next, k.a * x2 + (1 - k.a) * x1_next
+
+    def shown(x1: SX, x2: SX) -> SX:
+        return scale * ca.fmin(ca.fmax(ca.if_else(k.two, x2, x1), -p.clip), p.clip)
+
+    following = advance(random, x1, x2)
+    for name, value in zip(("random", "x1", "x2"), following, strict=True):
+        system.update(name, value)
+    return shown(x1, x2), shown(*following[1:]), shown(*advance(*following)[1:])
 
 
-def _control(system: System, p: Namespace, error: SX) -> SX:
-    """Declare the PI controller u = sat(kp e + I), whose integral stops while u is saturated and e would drive it further.
+def _control(system: System, p: Namespace, error: SX, forward: SX) -> SX:
+    """Declare the controller u = sat(kp e + I + forward), whose integral stops while u is saturated and e would drive it further.
 
     Source: astrom2008 section 10.1; conditional integration, section 10.4.
     """
     integral = system.sampled(State("integral", "V", "integral part"))
     voltage = system.sampled(State("voltage", "V", "voltage asked for"))
-    wanted = p.kp * error + integral
+    wanted = p.kp * error + integral + forward
     free = ca.logic_or(ca.fabs(wanted) < p.u_max, wanted * error < 0)
     system.update("voltage", ca.fmin(ca.fmax(wanted, -p.u_max), p.u_max))
     system.update("integral", ca.if_else(free, integral + p.ki * p.sample_time * error, integral))
@@ -77,14 +85,25 @@ def _control(system: System, p: Namespace, error: SX) -> SX:
 
 
 def program() -> Program:
-    """Return Controller: it ticks at t_k with the y_v of t_k and publishes u at t_k+1."""
-    system = System("controller", "velocity controller with a seeded random reference")
-    for parameter in (KP, KI, CONTROLLER_U_MAX, REFERENCE_SEED, REFERENCE_ORDER, RMS, CLIP, CUTOFF, SAMPLE_TIME):
+    """Return Controller: it ticks at t_k with the y_v of t_k and publishes u at t_k+1.
+
+    That voltage acts from t_k+1 to t_k+2, and the compensation is for the reference of that time.
+    """
+    system = System("controller", "velocity controller with a seeded random reference and compensation of friction")
+    tuning = (KP, KI, CONTROLLER_U_MAX, FADE_TIME, ASSUMED_C, TEST_TIME)
+    for parameter in (*tuning, REFERENCE_SEED, REFERENCE_ORDER, RMS, CLIP, CUTOFF, SAMPLE_TIME):
         system.parameter(parameter)
     y_v = system.input(Variable("y_v", "rad/s", "measured velocity"))
+    u_ff = system.input(Variable("u_ff", "V", "voltage that is added to the controller's own", minimum=-1e9, maximum=1e9))
+    scale = system.input(Variable("reference_scale", "1", "factor of the reference", 1.0, minimum=-1e6, maximum=1e6))
+    given = estimates(system)
     p = system.namespace()
-    reference = _reference(system, p)
-    voltage = _control(system, p, reference - y_v)
+    reference, *ahead = _reference(system, p, scale)
+    compensated = compensation(system, p, given, reference - y_v, (ahead[0], ahead[1]))
+    voltage = _control(system, p, reference - y_v, u_ff + compensated)
+    forward = system.sampled(State("forward", "V", "voltage of the compensation"))
+    system.update("forward", compensated)
     system.output(Variable("u", "V", "voltage asked of the drive"), voltage)
     system.output(Variable("reference", "rad/s", "velocity to follow"), reference)
+    system.output(Variable("u_compensation", "V", "part of u that compensates friction, inertia and load"), forward)
     return Program("Controller", [system])

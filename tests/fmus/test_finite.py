@@ -14,7 +14,8 @@ CASES = [
 def signals(k):
     """Return the inputs at step k, by name: a drive that reverses, and a sensor that turns back and forth."""
     u, v = 8.0 * np.sign(np.sin(0.03 * k)), 5.0 * np.sin(0.03 * k)
-    return {"u": u, "y_v": v, "y_theta": 5.0 * H / 0.03 * (1.0 - np.cos(0.03 * k)), "tau_load": 1e-3, "load_scale": 1.0}
+    others = {"tau_load": 1e-3, "load_scale": 1.0, "u_ff": 1.0, "reference_scale": 0.5}
+    return {"u": u, "y_v": v, "y_theta": 5.0 * H / 0.03 * (1.0 - np.cos(0.03 * k)), **others}
 
 
 def selectors(fmu):
@@ -42,6 +43,9 @@ def test_every_variable_is_finite_all_the_time(built, Raw, case, fmi):
                 assert [name for name, value in values.items() if not np.isfinite(value)] == [], (choice, k)
             now = signals(k)
             for name in inputs:
-                assert raw.set(handle, name, float(now[name])) == 0
+                if name.endswith("_valid"):
+                    assert raw.set(handle, name, k % 100 < 70, "Boolean") == 0
+                else:  # an estimate that the controller is given
+                    assert raw.set(handle, name, float(now.get(name, 3.0 * np.sin(0.1 * k)))) == 0
             assert raw.step(handle, H * k, H) == 0, raw.messages
         raw.free(handle)

@@ -19,6 +19,7 @@ Maker = Callable[..., Path]
 Message = Callable[[Callable[[], object]], str]
 pytestmark = pytest.mark.usefixtures("no_leftovers")
 
+COMPENSATED = ["controller.compensation=valid", "controller.parameters.fade=1 ms", "controller.parameters.test_time=10 ms"]
 STIMULUS = '[[stimuli]]\nvariable = "load_scale"\npoints = [["0 s", 1.0], ["0.3 s", 1.7]]\n[[checks]]'
 
 
@@ -30,7 +31,8 @@ def bus_of(path: Path, fmi: int = 2, kind: Kind = "native", *overrides: str) -> 
 @pytest.mark.parametrize(("fmi", "kind"), [(2, "native"), (3, "native"), (2, "python")])
 def test_the_compiled_loop_gives_the_digits_of_fmpys_calls(fmi: int, kind: Kind, base: str, scenario_file: Maker) -> None:
     path = scenario_file(base.replace("[[checks]]", STIMULUS))
-    bus = bus_of(path, fmi, kind, "duration=0.7 s", "sensor=encoder", "observer.method=rls")
+    bus = bus_of(path, fmi, kind, "duration=0.7 s", "sensor=encoder", "observer.method=rls", *COMPENSATED)
+    assert (("observer", "b_valid"), ("controller", "b_valid")) in bus.links  # Booleans too
     compiled, called = simulate(bus, engine="native"), simulate(bus, engine="fmpy")
     assert compiled.steps == 700
     assert np.array_equal(compiled.values, called.values, equal_nan=True)
@@ -38,6 +40,7 @@ def test_the_compiled_loop_gives_the_digits_of_fmpys_calls(fmi: int, kind: Kind,
     assert (row, flags.keys()) == (other_row, other_flags.keys())
     assert np.array_equal(list(flags.values()), list(other_flags.values()), equal_nan=True)
     assert np.ptp(compiled["plant", "theta"]) > 0.01
+    assert np.abs(compiled["controller", "u_compensation"]).max() > 0.1
 
 
 def test_a_bus_is_jacobi(tiny_fmu: Maker) -> None:
