@@ -119,7 +119,7 @@ def test_control_law_timing_and_anti_windup(built, Raw, limit):
 TRUE = {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0, "load": 0.7}
 
 
-STATES = {name: f"controller.{name}" for name in ("gain_inertia", "gain_load", "bristle")}
+STATES = {name: f"controller.{name}" for name in ("gain_inertia", "test_acting_load", "bristle")}
 
 
 def forward(n, estimates, parameters=None, **inputs):
@@ -194,7 +194,7 @@ def test_levels_come_from_sigma_and_c_where_these_are_valid():
     for missing, level in ((None, (600 + 800 * math.exp(-4.0) + 300) / 150), ("sigma1", 4.0)):
         estimates = {name: value for name, value in TRUE.items() if name not in (missing, "load", "alpha2")}
         assert forward(1000, estimates, slow, reference_scale=scale)["bristle"][-1] * 6.5 == pytest.approx(level, rel=0.01)
-    assert forward(1000, TRUE, slow)["gain_load"][-1] * 6.5 == pytest.approx(0.7)
+    assert forward(1000, TRUE, slow)["test_acting_load"][-1] * 6.5 == pytest.approx(-0.7)  # against the load
 
 
 def test_an_estimate_fades_in_and_out():
@@ -222,7 +222,13 @@ def test_feed_forward_is_added_before_the_limit_and_does_not_wind_up():
 
 def test_absurd_estimates_leave_every_output_finite():
     tiny = dict.fromkeys(TRUE, 1e-300) | {"tau": 1e-300, "width": 1e-300}
-    for estimates in (tiny, {name: 1e300 for name in tiny}, {name: -1e300 for name in tiny}, tiny | {"sigma0": 1e300}):
+    for estimates in (
+        tiny,
+        {"b": 5e-324, "alpha2": 0.0},
+        {name: 1e300 for name in tiny},
+        {name: -1e300 for name in tiny},
+        tiny | {"sigma0": 1e300},
+    ):
         for found in forward(3000, estimates).values():
             assert np.isfinite(found).all()
 
