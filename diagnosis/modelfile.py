@@ -234,7 +234,7 @@ def _quantity(text: str, unit: str) -> float:
 
 
 def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
-    """Return all nominal values; what is missing is refused, but for parameters that are 0 by default."""
+    """Return all nominal values; what is missing is refused, but for parameters that are optional or 0 by default."""
     found: dict[str, float] = {}
     for name, value in _flat(given):
         full = file.full_name("parameters", name, value)
@@ -243,10 +243,10 @@ def _parameters(file: _File, given: Mapping[str, Any]) -> dict[str, float]:
         found[full] = file.number(f"parameters.{name}", value, file.names[full])
     for name, parameter in file.names.items():
         if name not in found:
-            if parameter.default != 0.0:
+            if parameter.default != 0.0 and not parameter.optional:
                 why = f", which an input of kind '{file.layout.input_kind}' needs" if name == "b" else ""
                 raise file.mistake(f"parameters.{name}", None, f"missing; add it ({parameter.description}{why})")
-            found[name] = 0.0
+            found[name] = parameter.default
     return found
 
 

@@ -16,7 +16,7 @@ BASIS_COUNT = 2  # number of basis functions of the shipped models; an argument 
 def width_parameter(prefix: str) -> Parameter:
     """Declare the factor by which centres and widths are larger than the nominal ones, under the name of a law or a method."""
     text = "centres and widths of the basis functions over the nominal ones"
-    return Parameter(f"{prefix}.width", "w", "1", 1.0, 1e-6, 1e6, text, "dixit2008 eq. (24)")
+    return Parameter(f"{prefix}.width", "w", "1", 1.0, 1e-6, 1e6, text, "dixit2008 eq. (24)", optional=True)
 
 
 def gaussian(v: SX, count: int = BASIS_COUNT, even: SX | float = 1.0) -> list[SX]:

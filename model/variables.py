@@ -16,7 +16,8 @@ class Parameter:
     """A number the user sets before the simulation starts.
 
     `name` is the public name (structured, ``lugre.Fc``), `symbol` the paper's letter, `unit` SI, `minimum` and
-    `maximum` the closed interval of allowed values, `source` a key of references.bib with an equation number.
+    `maximum` the closed interval of allowed values, `source` a key of references.bib with an equation number. A model file may
+    leave out what is `optional`, and what is 0 by default.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Parameter:
     maximum: float
     description: str
     source: str
+    optional: bool = False
 
     def check(self, value: float) -> float:
         """Return `value` if it lies in the interval, otherwise raise `BristleError`."""

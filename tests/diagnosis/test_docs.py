@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-import bristle.diagnosis as diagnosis
+import bristle
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report import export
 from bristle.diagnosis.report.html import VERDICTS
@@ -33,10 +33,11 @@ def test_the_model_file_is_one_and_fits_the_record_beside_it():
     assert block("").splitlines()[0].split(",") == [model.time.column, model.input.column, model.output.column]
 
 
-def test_what_the_program_imports_is_there():
-    tree = ast.parse(block("python"))
-    [names] = [node.names for node in tree.body if isinstance(node, ast.ImportFrom) and node.module == "bristle.diagnosis"]
-    assert all(callable(getattr(diagnosis, name.name)) for name in names)
+def test_what_the_program_calls_is_there():
+    calls = [node.func for node in ast.walk(ast.parse(block("python"))) if isinstance(node, ast.Call)]
+    names = {call.attr for call in calls if isinstance(call, ast.Attribute) and getattr(call.value, "id", "") == "bristle"}
+    assert "diagnose" in names
+    assert all(callable(getattr(bristle, name)) for name in names)
 
 
 def test_every_key_file_and_verdict_is_explained(answer):
