@@ -28,7 +28,7 @@ CHECK_QUANTITIES = {
     "adapted": ("1", "1 if the observer says that it has adapted since the start, else 0"),
     "innovation": (
         "1",
-        "mean squared innovation of late over what the observer claims it to be; none if it claims nothing",
+        "recent mean squared innovation relative to the value that the observer expects; none if it gives none",
     ),
     "tracking_rms": ("rad/s", "rms difference between reference and velocity; only with a controller"),
     "tracking.from_s": ("s", "start of the last part of the run, over which the following three are taken"),

@@ -96,7 +96,8 @@ def _innovation(result: Mapping[str, Any]) -> str:
         return '<p class="alarm">The observer says that it has not adapted since the start.</p>'
     if result["innovation"] is None:
         return ""
-    return f"<p>Mean squared innovation of late, over what the observer claims it to be: {number(result['innovation'], 3)}.</p>"
+    text = "Recent mean squared innovation relative to the value that the observer expects (1 where its model is right)"
+    return f"<p>{text}: {number(result['innovation'], 3)}.</p>"
 
 
 def _states(result: Mapping[str, Any], meanings: Mapping[str, str]) -> str:

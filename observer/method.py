@@ -60,8 +60,8 @@ class Update:
 
     `first` gives the values of states at the very first sample, where there is no step yet (others keep their start);
     an estimate named in `valid` counts only where its expression is not zero. `sd`: standard deviations, of those estimates that
-    have one. `adapted`: whether the estimates have been adapted since the start. `innovation`: mean squared innovation of late over
-    what the method claims it to be.
+    have one. `adapted`: whether the estimates have been adapted since the start. `innovation`: recent mean squared innovation
+    relative to the value that the method expects.
     """
 
     next: dict[str, SX]
@@ -226,7 +226,7 @@ def _publish(system: System, method: Method, update: Update, started: SX, period
         spread = Variable(f"{name}_sd", unit, f"standard deviation of {name}_hat; 0: the method gives none")
         system.output(spread, update.sd.get(name, SX(0)))
     flag("adapted", "the estimates have been adapted since the start", update.adapted)
-    ratio = Variable("innovation", "1", "mean squared innovation of late over what the method claims; 0: the method gives none")
+    ratio = Variable("innovation", "1", "recent mean squared innovation relative to the value expected; 0: the method gives none")
     system.output(ratio, update.innovation)
     system.output(
         Variable("convergence", "1/s", "fastest relative change of an estimate, averaged over 1 s; small when settled"),

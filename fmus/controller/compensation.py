@@ -111,7 +111,7 @@ def parts(system: System, p: Namespace, given: Namespace, gain: Namespace, refer
 def tested(
     system: System, p: Namespace, gain: Namespace, error: SX, voltages: dict[str, SX], steady: dict[str, SX]
 ) -> dict[str, SX]:
-    """Return of each part the share that is applied: what has made tracking best of late, while the part is steady.
+    """Return of each part the share that is applied: what has made tracking best recently, while the part is steady.
 
     x_i is how far part i would have moved the velocity, in a closed loop of the estimated b and alpha2. Without compensation the
     error would have been e_0 = e + sum k_i x_i with the shares k_i that were applied; the new ones minimise the mean of
@@ -142,7 +142,7 @@ def tested(
     alone = error + sum(share[name] * moved[name] for name in names)
 
     def averaged(name: str, now: SX) -> SX:
-        mean = state(name, "rad2/s2", "mean product of velocities, of late")
+        mean = state(name, "rad2/s2", "recent mean product of velocities")
         return update(name, mean + forgetting * (now - mean))
 
     with_error = {name: averaged(f"error_{name}", alone * moved[name]) for name in names}
