@@ -118,11 +118,14 @@ def _sources(package: str) -> list[str | bytes]:
     return [part for path in paths for part in (path.relative_to(folder).as_posix(), path.read_bytes())]
 
 
+# Of the code that this process runs, so read at import: a later change of a file must not name an FMU of the code before it.
+SOURCES = digest(*(part for name in HASHED_PACKAGES for part in _sources(name)))
+
+
 def _key(kind: str, *arguments: object) -> str:
-    sources = [part for name in HASHED_PACKAGES for part in _sources(name)]
-    sources += [part for each in HASHED_PLUGINS for path in plugin_files(each, ".py") for part in (str(path), path.read_bytes())]
+    plugins = [part for each in HASHED_PLUGINS for path in plugin_files(each, ".py") for part in (str(path), path.read_bytes())]
     made_by = (*FLAGS, compiler_identity()) if kind == "native" else ()
-    return digest(*sources, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments)))
+    return digest(SOURCES, *plugins, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments)))
 
 
 def obtain(
