@@ -22,13 +22,13 @@ NATIVE = [("plant", 2), ("plant", 3), ("controller", 2), ("observer", 3)]
 
 @pytest.mark.parametrize("options", [{}, {"fmi": 3}, {"law": "lugre"}, {"kind": "python"}], ids=str)
 def test_building_twice_gives_the_same_bytes(tmp_path, options):
-    """In two folders and two processes, whose hashes are seeded differently."""
+    """In two folders and two processes, whose hashes are seeded differently, with nothing in the cache."""
     results = []
     for seed in ("1", "2"):
         out = tmp_path / f"folder {seed} ä" / "Servo.fmu"
         out.parent.mkdir()
         code = f"from pathlib import Path; from bristle.fmus import build; build('plant', Path({str(out)!r}), **{options!r})"
-        environment = os.environ | {"PYTHONHASHSEED": seed, "TMPDIR": str(out.parent)}
+        environment = os.environ | {"PYTHONHASHSEED": seed, "TMPDIR": str(out.parent), "BRISTLE_CACHE": str(tmp_path / seed)}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert [p.name for p in out.parent.iterdir()] == [out.name]  # nothing is left lying about

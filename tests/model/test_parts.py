@@ -1,6 +1,8 @@
 """The small parts: units, parameters, programs, linear algebra, compiler, cache."""
 
+import ctypes
 import math
+import os
 
 import casadi as ca
 import numpy as np
@@ -138,10 +140,40 @@ def test_a_compiler_error_is_one_line(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_compiling_twice_gives_the_same_bytes(tmp_path):
+def test_compiling_twice_gives_the_same_bytes(tmp_path, monkeypatch):
     for name in ("a.so", "b.so"):
+        monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / f"cache of {name}"))
         compiler.compile_shared({"a.c": "double f(double x) { return 2.0 * x; }\n"}, tmp_path / name)
     assert (tmp_path / "a.so").read_bytes() == (tmp_path / "b.so").read_bytes()
+
+
+def test_a_unit_is_compiled_again_only_if_it_or_what_it_includes_changed(tmp_path, monkeypatch):
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / "cache"))
+    compiled = []
+    run = compiler._compiler
+    monkeypatch.setattr(compiler, "_compiler", lambda arguments, folder: (compiled.append(arguments), run(arguments, folder)))
+    shown = '__attribute__((visibility("default")))'
+    sources = {
+        "a.c": f'#include "a.h"\n{shown} double f(double x) {{ return FACTOR * x; }}\n', "a.h": '# include "b.h"\n',
+        "b.h": "#define FACTOR 2.0\n", "c.c": "int c;\n", "c.h": "\n",
+    }  # fmt: skip
+
+    def units(**changed):
+        """Return the units compiled for sources with some changed, and f(3) of the library."""
+        compiled.clear()
+        library = tmp_path / f"{len(os.listdir(tmp_path))}.so"
+        compiler.compile_shared(sources | {name.replace("_", "."): text for name, text in changed.items()}, library)
+        f = ctypes.CDLL(str(library)).f
+        f.restype, f.argtypes = ctypes.c_double, [ctypes.c_double]
+        return [each[each.index("-c") + 1] for each in compiled if "-c" in each], f(3.0)
+
+    assert units() == (["a.c", "c.c"], 6.0)
+    assert units() == ([], 6.0)
+    assert units(c_h="int other;\n") == ([], 6.0)
+    assert units(b_h="#define FACTOR 3.0\n") == (["a.c"], 9.0)
+    assert units(c_c="int d;\n") == (["c.c"], 6.0)
+    monkeypatch.setattr(compiler, "compiler_identity", lambda: "another one")
+    assert units() == (["a.c", "c.c"], 6.0)
 
 
 def test_a_compiler_that_is_not_there_is_named(monkeypatch):
