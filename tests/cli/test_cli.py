@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -46,6 +47,20 @@ def cli(temporary: Path) -> Cli:
     return call
 
 
+@pytest.fixture
+def inside(call: Callable[..., tuple[int, str, str]], temporary: Path, monkeypatch: pytest.MonkeyPatch) -> Cli:
+    """As `cli`, but in this process, which has imported everything: for what the start of a process cannot change."""
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        code, said, complained = call(*arguments)
+        assert os.listdir(temporary) == []
+        assert "Traceback" not in complained
+        return subprocess.CompletedProcess(arguments, code, said, complained)
+
+    return run
+
+
 def test_all_pass_is_0(cli: Cli, case: Path, tmp_path: Path) -> None:
     done = cli("run", case, "--out", tmp_path / "out")
     assert (done.returncode, done.stderr) == (0, "")
@@ -55,8 +70,8 @@ def test_all_pass_is_0(cli: Cli, case: Path, tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path / "out")) == ["case"]
 
 
-def test_a_failed_verdict_is_1(cli: Cli, case: Path, tmp_path: Path) -> None:
-    done = cli("run", case, "--out", tmp_path / "out", "--set", "checks.0.min=1e6")
+def test_a_failed_verdict_is_1(inside: Cli, case: Path, tmp_path: Path) -> None:
+    done = inside("run", case, "--out", tmp_path / "out", "--set", "checks.0.min=1e6")
     assert done.returncode == 1
     assert "fail" in done.stdout
     assert "b moves" in done.stdout
@@ -72,38 +87,40 @@ def one_line(done: subprocess.CompletedProcess[str], *words: str) -> None:
         assert word in lines[0]
 
 
-def test_errors_are_2_and_one_line(cli: Cli, case: Path, tmp_path: Path) -> None:
+def test_errors_are_2_and_one_line(cli: Cli, inside: Cli, case: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     one_line(cli("run", tmp_path / "nowhere.toml", "--out", out), "nowhere.toml", "No such file")
-    one_line(cli("run", case, "--out", out, "--set", "plant.parameters.J=-1 kg.m2"), "plant.parameters.J", "outside")
-    one_line(cli("run", case, "--out", case), "output folder", str(case))
-    one_line(cli("run", case, case, "--out", out), "given 2 times")
-    one_line(cli("run", tmp_path, "--out", out), "is a folder; give a scenario file")
-    one_line(cli("run", case, "--out", out, "--seed", "-1"), "controller.parameters.seed = -1: outside [1, 2147483646]; choose")
-    one_line(cli("run", case, "--out", out, "--sed", "3"), "No such option: --sed (Possible options: --seed)")
-    one_line(cli("run", case, "--foo"), "No such option: --foo; see bristle run --help")
-    one_line(cli("run", case, "--out", out, "--set", "duration=-1"), 'write a unit behind the number, such as "1 s"')
-    one_line(cli("run", case, "--out", out, "--fmi", "4"), "--fmi")
-    one_line(cli("run", case, "--out", out, "--kind", "python", "--fmi", "3"), "FMI 3")
-    one_line(cli("dance"), "dance")
+    one_line(inside("run", case, "--out", out, "--set", "plant.parameters.J=-1 kg.m2"), "plant.parameters.J", "outside")
+    one_line(inside("run", case, "--out", case), "output folder", str(case))
+    one_line(inside("run", case, case, "--out", out), "given 2 times")
+    one_line(inside("run", tmp_path, "--out", out), "is a folder; give a scenario file")
+    one_line(inside("run", case, "--out", out, "--seed", "-1"), "controller.parameters.seed = -1: outside [1, 2147483646]; choose")
+    one_line(inside("run", case, "--out", out, "--sed", "3"), "No such option: --sed (Possible options: --seed)")
+    one_line(inside("run", case, "--foo"), "No such option: --foo; see bristle run --help")
+    one_line(inside("run", case, "--out", out, "--set", "duration=-1"), 'write a unit behind the number, such as "1 s"')
+    one_line(inside("run", case, "--out", out, "--fmi", "4"), "--fmi")
+    one_line(inside("run", case, "--out", out, "--kind", "python", "--fmi", "3"), "FMI 3")
+    one_line(inside("dance"), "dance")
     one_line(cli(), "list, build, run")
-    one_line(cli("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
-    one_line(cli("build", "plant", "--effects", "coging", "--out", out), "unknown effect 'coging'", "did you mean 'cogging'")
-    one_line(cli("build", "observer", "--effects", "bias", "--out", out), "the observer has no effects to add")
+    one_line(inside("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
+    one_line(inside("build", "plant", "--effects", "coging", "--out", out), "unknown effect 'coging'", "did you mean 'cogging'")
+    one_line(inside("build", "observer", "--effects", "bias", "--out", out), "the observer has no effects to add")
     assert not out.exists()
 
 
-def test_results_are_in_out_where_no_folder_is_given(cli: Cli, case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_are_in_out_where_no_folder_is_given(
+    inside: Cli, case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    one_line(cli("run", "quik"), "did you mean 'quick'?")
-    one_line(cli("diagnose", "none.toml", "--data", "none.csv"), "none.toml", "No such file")
-    assert cli("run", case).returncode == 0
+    one_line(inside("run", "quik"), "did you mean 'quick'?")
+    one_line(inside("diagnose", "none.toml", "--data", "none.csv"), "none.toml", "No such file")
+    assert inside("run", case).returncode == 0
     assert (tmp_path / "out" / "case" / "result.json").exists()
 
 
-def test_a_model_file_is_no_scenario(cli: Cli, tmp_path: Path) -> None:
+def test_a_model_file_is_no_scenario(inside: Cli, tmp_path: Path) -> None:
     model = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07" / "model.toml"
-    one_line(cli("run", model, "--out", tmp_path / "out"), "is a model file, no scenario file; give it to bristle diagnose")
+    one_line(inside("run", model, "--out", tmp_path / "out"), "is a model file, no scenario file; give it to bristle diagnose")
 
 
 def test_deprecated_keys_are_one_line(cli: Cli, tmp_path: Path) -> None:
@@ -130,7 +147,7 @@ min = -1e9
     assert f"bristle: {result['notes'][0]}" == line
 
 
-def test_what_was_found_in_a_record_is_printed(cli: Cli, tmp_path: Path) -> None:
+def test_what_was_found_in_a_record_is_printed(inside: Cli, tmp_path: Path) -> None:
     rows = [f"{0.001 * k + 0.0001 * math.sin(k * k)},{math.sin(0.02 * k)},{math.cos(0.01 * k)}" for k in range(500)]
     (tmp_path / "r.csv").write_text("\n".join(["t,u,y", *rows]))
     scenario = tmp_path / "recorded.toml"
@@ -146,28 +163,28 @@ method = "rls"
 quantity = "record.samples"
 min = 100
 """)
-    head, note = cli("run", scenario, "--out", tmp_path / "out").stdout.splitlines()
+    head, note = inside("run", scenario, "--out", tmp_path / "out").stdout.splitlines()
     assert head.startswith("recorded ")
     assert note.startswith("  - record r: sampling intervals scatter by ")
     assert note[4:] in json.loads((tmp_path / "out/recorded/result.json").read_text())["notes"]
 
 
-def test_all_scenarios_are_checked_before_the_first_runs(cli: Cli, case: Path, tmp_path: Path) -> None:
+def test_all_scenarios_are_checked_before_the_first_runs(inside: Cli, case: Path, tmp_path: Path) -> None:
     """Paths, keys, and what only the FMUs can tell; all that are wrong are named."""
     keys, fmus = tmp_path / "keys.toml", tmp_path / "fmus.toml"
     keys.write_text("duration = 3")
     fmus.write_text(case.read_text().replace("modified", "honey"))
-    done = cli("run", case, tmp_path / "nowhere.toml", keys, fmus, "--out", tmp_path / "out")
+    done = inside("run", case, tmp_path / "nowhere.toml", keys, fmus, "--out", tmp_path / "out")
     assert (done.returncode, done.stdout) == (2, "")
     assert [line.split(": ")[1] for line in done.stderr.splitlines()] == [str(tmp_path / "nowhere.toml"), str(keys), str(fmus)]
     assert not (tmp_path / "out").exists()
 
 
-def test_a_scenario_is_found_by_its_name(cli: Cli, case: Path, tmp_path: Path) -> None:
-    done = cli("run", "quick", "--out", tmp_path / "out", "--set", "duration=1 s", "--set", "checks.0.max_abs=1e9")
+def test_a_scenario_is_found_by_its_name(inside: Cli, case: Path, tmp_path: Path) -> None:
+    done = inside("run", "quick", "--out", tmp_path / "out", "--set", "duration=1 s", "--set", "checks.0.max_abs=1e9")
     assert done.stdout.split()[0] == "quick"
     assert (tmp_path / "out" / "quick" / "report.html").is_file()
-    one_line(cli("run", "quik", "--out", tmp_path / "out"), "scenario 'quik'", "did you mean 'quick'", "give a path or one of")
+    one_line(inside("run", "quik", "--out", tmp_path / "out"), "scenario 'quik'", "did you mean 'quick'", "give a path or one of")
 
 
 def test_a_scenario_of_a_plugin_folder_is_found_by_its_name(monkeypatch: pytest.MonkeyPatch, case: Path, tmp_path: Path) -> None:
@@ -193,16 +210,16 @@ def test_list_names_what_there_is(cli: Cli) -> None:
         assert word in done.stdout
 
 
-def test_build_writes_readable_fmus(cli: Cli, tmp_path: Path) -> None:
+def test_build_writes_readable_fmus(cli: Cli, inside: Cli, tmp_path: Path) -> None:
     from fmpy import read_model_description
 
     done = cli("build", "controller", "--fmi", "3", "--out", tmp_path / "fmus")
     [path] = done.stdout.split()
     assert read_model_description(path).fmiVersion.startswith("3.")
-    lean = cli("build", "plant", "--law", "viscous", "--out", tmp_path / "fmus")
+    lean = inside("build", "plant", "--law", "viscous", "--out", tmp_path / "fmus")
     assert read_model_description(lean.stdout.strip()).modelName == "ServoPlant_viscous"
     assert sorted(os.listdir(tmp_path / "fmus")) == ["Controller.fmu", "ServoPlant_viscous.fmu"]
-    more = cli("build", "plant", "--law", "lugre", "--effects", "cogging, bias", "--fmi", "3", "--out", tmp_path / "fmus")
+    more = inside("build", "plant", "--law", "lugre", "--effects", "cogging, bias", "--fmi", "3", "--out", tmp_path / "fmus")
     found = {v.name: v for v in read_model_description(more.stdout.strip()).modelVariables}
     assert more.stdout.strip().endswith("ServoPlant_lugre_bias_cogging.fmu")
     assert (found["cogging.amplitude"].unit, found["bias.torque"].causality) == ("N.m", "parameter")
@@ -222,11 +239,13 @@ def test_help_is_quick(cli: Cli) -> None:
     ("number", "stage"),
     [(signal.SIGINT, "simulation"), (signal.SIGTERM, "simulation"), (signal.SIGINT, "fits"), (signal.SIGINT, "child")],
 )
-def test_an_interrupt_is_one_line_and_leaves_nothing(number: int, stage: str, case: Path, tmp_path: Path, temporary: Path) -> None:
+def test_an_interrupt_is_one_line_and_leaves_nothing(
+    number: int, stage: str, case: Path, tmp_path: Path, temporary: Path, inside: Cli
+) -> None:
     from bristle.fmus import build
 
     out = tmp_path / "out"
-    subprocess.run(command(["run", case, "--out", out]), check=True, capture_output=True)
+    assert inside("run", case, "--out", out).returncode == 0
     before = (out / "case" / "result.json").read_text()
     long = ["--set", "duration=4000 s"]
     if stage == "fits":

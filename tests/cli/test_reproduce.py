@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,13 @@ def cli(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
 
 
-def test_what_cannot_be_written_is_2_and_one_line(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_2_and_one_line(call: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "report.html").mkdir()
     for arguments, word in ((("--out", tmp_path / "file"), "output folder"), (("--out", tmp_path), "report.html")):
-        done = cli(*arguments)
-        assert done.returncode == 2
-        [line] = done.stderr.splitlines()
+        code, _, said = call("reproduce", *arguments)
+        assert code == 2
+        [line] = said.splitlines()
         assert line.startswith("bristle: ")
         assert word in line
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "report.html"]
