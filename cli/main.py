@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import signal
 import sys
 import traceback
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bristle.common.arguments import filled_path
 from bristle.common.errors import BristleError, IncompleteError
 
 if TYPE_CHECKING:
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from bristle.harness.run import Checked, Options, Run
 
 PASS, FAIL, ERROR = 0, 1, 2
+DID_YOU_MEAN = re.compile(r"\. Did you mean (.*\?)$")  # how the option parser proposes a command
 LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -60,6 +63,14 @@ class Fmi(StrEnum):
     three = "3"
 
 
+def _path(given: str | Path) -> Path:
+    """Return the path of an option or argument."""
+    try:
+        return filled_path(given)
+    except BristleError as error:
+        raise typer.BadParameter(str(error)) from None  # the parser adds which option it is
+
+
 KindOption = Annotated[Kind, typer.Option(help="native: compiled; python: for hosts that run in Python")]
 FmiOption = Annotated[Fmi, typer.Option(help="version of FMI")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
@@ -87,7 +98,7 @@ def bristle(
 # -- list ------------------------------------------------------------------------------------------------------------
 
 
-@app.command("list")
+@app.command("list", short_help="List friction laws, observers, effects and scenarios.")
 def list_command() -> None:
     """List friction laws, observer methods, effects and the scenarios that come with bristle."""
     from bristle.harness.catalogue import catalogue
@@ -109,7 +120,7 @@ def list_command() -> None:
 @app.command()
 def build(
     what: Annotated[What, typer.Argument(help="which FMU")] = What.all,
-    out: Annotated[Path, typer.Option(help="folder for the .fmu files")] = Path(),
+    out: Annotated[Path, typer.Option(help="folder for the .fmu files", metavar="FOLDER", parser=_path)] = Path(),
     fmi: FmiOption = Fmi.two,
     kind: KindOption = Kind.native,
     law: Annotated[str | None, typer.Option(help="a lean plant of one friction law")] = None,
@@ -131,10 +142,10 @@ def build(
 # -- run -------------------------------------------------------------------------------------------------------------
 
 
-@app.command()
+@app.command(short_help="Run scenarios, and compare estimates with true values.")
 def run(
-    scenarios: Annotated[list[Path], typer.Argument(help="scenario files, or names from bristle list", metavar="SCENARIO...")],
-    out: Annotated[Path, typer.Option(help="folder for the results")] = Path("out"),
+    scenarios: Annotated[list[Path], typer.Argument(help="files, or names from bristle list", metavar="SCENARIO", parser=_path)],
+    out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=_path)] = Path("out"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
@@ -271,9 +282,14 @@ def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
 # -- reproduce -------------------------------------------------------------------------------------------------------
 
 
-@app.command(epilog="Exit code 0: every run is as it is expected to be; 1: one is not; 2: an error.")
+@app.command(
+    short_help="Make the figures and numbers of the paper.",
+    epilog="Exit code 0: every run is as it is expected to be; 1: one is not; 2: an error.",
+)
 def reproduce(
-    out: Annotated[Path, typer.Option(help="folder for report.html, its figures and reproduce.json")] = Path("out"),
+    out: Annotated[
+        Path, typer.Option(help="folder for report.html, its figures and reproduce.json", metavar="FOLDER", parser=_path)
+    ] = Path("out"),
     debug: DebugOption = False,
 ) -> None:
     """Make the figures and numbers of the paper: as printed, as repaired, and by the best observer, on one page."""
@@ -289,16 +305,22 @@ def reproduce(
 
 
 @app.command(
+    short_help="Name the effect that a model lacks, from measured records.",
     epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction. "
     "With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u [V] and theta [rad] "
     "or, of an FMU without it, v [rad/s]. "
-    "Exit code 0: it completed, whatever it found; 2: an error."
+    "Exit code 0: it completed, whatever it found; 2: an error.",
 )
 def diagnose(
-    data: Annotated[list[Path], typer.Option(help="measured record; give it once for each file (two or more are best)")],
-    out: Annotated[Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model")] = Path("out"),
-    model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml")] = None,
-    fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu")] = None,
+    data: Annotated[
+        list[Path],
+        typer.Option(help="measured record; give it once for each file (two or more are best)", metavar="FILE", parser=_path),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model", metavar="FOLDER", parser=_path)
+    ] = Path("out"),
+    model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=_path)] = None,
+    fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=_path)] = None,
     choose: Annotated[str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME")] = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
     debug: DebugOption = False,
@@ -431,7 +453,8 @@ def _explain(error: BaseException) -> str:
     if usage is not None:
         context = getattr(error, "ctx", None)
         command = "bristle" if context is None or context.parent is None else f"bristle {context.info_name}"
-        return f"bristle: {usage().replace('Value error, ', '').rstrip('.')}; see {command} --help"
+        said = DID_YOU_MEAN.sub(r" (did you mean \1)", usage().replace("Value error, ", "").rstrip("."))
+        return f"bristle: {said}; see {command} --help"
     return f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback"
 
 

@@ -24,6 +24,16 @@ def as_path(name: str, given: object) -> Path:
     return Path(given)
 
 
+def filled_path(text: str | Path) -> Path:
+    """Return the path that an option of a command gives.
+
+    Empty text is refused: it comes from a variable of the shell that is not set, and would be the current folder.
+    """
+    if not str(text):
+        raise BristleError("it is empty; give a path")
+    return Path(text)
+
+
 def as_paths(name: str, given: object) -> list[Path]:
     """Return the paths that were given as the argument `name`: one, or a sequence of them."""
     if isinstance(given, (str, os.PathLike)) or not isinstance(given, Iterable):

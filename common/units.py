@@ -127,6 +127,6 @@ def quantity(given: str | float | int, si_unit: str) -> float:
     if not unit.strip():
         if si_unit != "1":
             right = f'"{number} {si_unit}"' if value >= 0 else f'a unit behind the number, such as "1 {si_unit}"'
-            raise BristleError(f"'{given}' has no unit (missing unit); write {right}")
+            raise BristleError(f"'{given}' has no unit; write {right}")
         return value
     return convert(value, unit.strip(), si_unit)

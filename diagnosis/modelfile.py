@@ -133,6 +133,8 @@ def load_model(path: Path | str) -> Model:
     if path.suffix.lower() in READERS:
         raise BristleError(f"{path}: is a file of records, not a model file; the model (TOML) comes first, then the records")
     _, tree = read_toml(path, "model file")
+    if "observer" in tree:
+        raise BristleError(f"{path}: is a scenario file, no model file; give it to bristle run")
     return Model.from_dict(tree, path)
 
 

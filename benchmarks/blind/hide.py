@@ -26,6 +26,8 @@ from gap import measure
 from scene import draw_scene, log_uniform
 from truth import PERIOD, RESOLUTION, Record, library
 
+from bristle.common.arguments import filled_path
+
 SEED = "hidden"
 FOLDER = Path(__file__).resolve().parents[2] / "scenarios" / "hidden"
 SEALED, DIGEST = "answers.sealed", "answers.sha256"
@@ -115,7 +117,7 @@ def seal(answers: list[dict[str, Any]], out: Path) -> None:
 def main() -> None:
     """Make all cases."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=FOLDER)
+    parser.add_argument("--out", type=filled_path, default=FOLDER)
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     plan = specs()

@@ -20,6 +20,8 @@ import run  # sets the threads, before numpy
 from page import put
 from score import Judged
 
+from bristle.common.arguments import filled_path
+
 LOW_RATE_SEED, LOW_RATE_SCALE = "slow, second", 0.02  # seed of the generator; share of its full plan
 KEPT_EVERY = (4, 16)  # every how many-th sample is kept
 INPUT_WAYS = ("held", "found")  # how the input between samples is taken: held, or as the diagnosis detects it
@@ -61,7 +63,7 @@ def _target(out: Path, answer: Any, every: int, way: str) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=run.ROOT / "out" / "slow")
+    parser.add_argument("--out", type=filled_path, default=run.ROOT / "out" / "slow")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     a = parser.parse_args()
     run.generate(LOW_RATE_SEED, a.out, LOW_RATE_SCALE, a.jobs, ("controls", "single"))

@@ -22,6 +22,8 @@ import run  # sets the threads, before numpy
 from refused import GROUPS, STANDS, label, standings, stood
 from score import Judged
 
+from bristle.common.arguments import filled_path
+
 TARGET = Path(__file__).resolve().parents[1] / "results" / "oracle_search.md"
 NOWHERE = 1e5  # beyond this a parameter of an answer means that there is none, such as a stop on one side only
 
@@ -66,7 +68,7 @@ def table(pairs: Iterable[tuple[Any, Any]], found: Callable[[Any], Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder of a blind test that is diagnosed")
+    parser.add_argument("--out", type=filled_path, required=True, help="folder of a blind test that is diagnosed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     a = parser.parse_args()
     pairs = missed(a.out)

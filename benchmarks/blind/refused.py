@@ -27,6 +27,8 @@ from forms import class_of
 from run import answered
 from score import SINGLE, Judged
 
+from bristle.common.arguments import filled_path
+
 REFUSED_TABLES = Path(__file__).resolve().parents[1] / "results" / "refused.md"
 GROUPS = (*SINGLE, "pair")
 STANDS = (
@@ -106,7 +108,7 @@ def prices(missing: np.ndarray, figures: np.ndarray) -> dict[int, int]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder of a blind test that is diagnosed")
+    parser.add_argument("--out", type=filled_path, required=True, help="folder of a blind test that is diagnosed")
     out = parser.parse_args().out
     pairs = answered(out)
     where = [

@@ -32,6 +32,8 @@ from score import tables
 from shared import BLIND_TEST_LIMITS, write_json
 from truth import library
 
+from bristle.common.arguments import filled_path
+
 ROOT = Path(__file__).resolve().parents[2]
 BLIND_TEST_INTRODUCTION = """## How often it is wrong
 
@@ -183,7 +185,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     for name in ("generate", "diagnose", "score", "publish"):
         command = commands.add_parser(name)
-        command.add_argument("--out", type=Path, required=name != "publish")
+        command.add_argument("--out", type=filled_path, required=name != "publish")
         if name != "score":
             command.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
         if name in ("generate", "publish"):

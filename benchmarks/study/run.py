@@ -30,6 +30,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from shared import write_json
 from standard_records import TRUE_PARAMETERS
 
+from bristle.common.arguments import filled_path
 from bristle.model.sources import fingerprint
 from bristle.observer import observer_program
 
@@ -108,8 +109,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=12, help="seeds 1 to N")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="worker processes")
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "study", help="folder of the results")
-    parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "study", help="folder of the pages")
+    parser.add_argument("--out", type=filled_path, default=ROOT / "out" / "study", help="folder of the results")
+    parser.add_argument("--docs", type=filled_path, default=ROOT / "docs" / "study", help="folder of the pages")
     parser.add_argument("--pages", action="store_true", help="only write the pages")
     given = parser.parse_args()
     if given.seeds < 1 or given.jobs < 1:

@@ -101,11 +101,28 @@ def test_errors_are_2_and_one_line(cli: Cli, inside: Cli, case: Path, tmp_path: 
     one_line(inside("run", case, "--out", out, "--fmi", "4"), "--fmi")
     one_line(inside("run", case, "--out", out, "--kind", "python", "--fmi", "3"), "FMI 3")
     one_line(inside("dance"), "dance")
+    one_line(inside("diagnos"), "No such command 'diagnos' (did you mean 'diagnose'?); see bristle --help")
     one_line(cli(), "list, build, run")
     one_line(inside("build", "plant", "--law", "honey", "--out", out), "honey", "modified")
     one_line(inside("build", "plant", "--effects", "coging", "--out", out), "unknown effect 'coging'", "did you mean 'cogging'")
     one_line(inside("build", "observer", "--effects", "bias", "--out", out), "the observer has no effects to add")
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (["run", "quick", "--out", ""], "--out"), (["run", "quick", "--out="], "--out"), (["run", ""], "SCENARIO"),
+        (["build", "controller", "--out", ""], "--out"), (["reproduce", "--out", ""], "--out"),
+        (["diagnose", "m.toml", "--data", "a.csv", "--out", ""], "--out"), (["diagnose", "m.toml", "--data", ""], "--data"),
+        (["diagnose", "", "--data", "a.csv"], "MODEL.toml"), (["diagnose", "--fmu", "", "--data", "a.csv"], "--fmu"),
+    ],
+)  # fmt: skip
+def test_an_empty_path_is_not_the_current_folder(
+    inside: Cli, arguments: list[str], option: str, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(temporary)  # of which `inside` demands that it stays empty
+    one_line(inside(*arguments), f"Invalid value for '{option}': it is empty; give a path; see bristle {arguments[0]} --help")
 
 
 def test_results_are_in_out_where_no_folder_is_given(
@@ -121,6 +138,25 @@ def test_results_are_in_out_where_no_folder_is_given(
 def test_a_model_file_is_no_scenario(inside: Cli, tmp_path: Path) -> None:
     model = Path(__file__).resolve().parents[2] / "scenarios" / "hidden" / "07" / "model.toml"
     one_line(inside("run", model, "--out", tmp_path / "out"), "is a model file, no scenario file; give it to bristle diagnose")
+
+
+def test_a_scenario_is_no_model_file(inside: Cli, case: Path, tmp_path: Path) -> None:
+    asked = ("diagnose", case, "--data", "none.csv", "--out", tmp_path / "out")
+    one_line(inside(*asked), "is a scenario file, no model file; give it to bristle run")
+
+
+def test_a_folder_is_no_scenario_but_hides_none(tmp_path: Path, inside: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("mine", "quick"):
+        (tmp_path / name).mkdir()
+    one_line(inside("run", "mine"), "mine: is a folder; give a scenario file")
+    assert find_scenario(Path("quick")).is_file()
+
+
+def test_every_command_is_described_in_one_line(inside: Cli) -> None:
+    listed = inside("--help").stdout.partition("Commands:")[2].splitlines()
+    assert [line.split()[0] for line in listed if line] == ["list", "build", "run", "reproduce", "diagnose"]
+    assert all(line.endswith(".") and not line.endswith("...") for line in listed if line)
 
 
 def test_deprecated_keys_are_one_line(cli: Cli, tmp_path: Path) -> None:

@@ -24,8 +24,8 @@ MISTAKES = [
     # what to replace, by what, what the line must say
     ("unknown key", 'step = "1 ms"', 'stepp = "1 ms"', ["stepp", "unknown key", "did you mean 'step'", "duration"]),
     ("unknown key inside", 'law = "modified"', 'law = "modified"\nlwa = 1', ["plant.lwa", "allowed here", "law"]),
-    ("missing unit", '"2 s"', '"2"', ["duration", "missing unit", '"2 s"']),
-    ("bare number", '"2 s"', "2", ["duration", "missing unit"]),
+    ("missing unit", '"2 s"', '"2"', ["duration", "has no unit", '"2 s"']),
+    ("bare number", '"2 s"', "2", ["duration", "has no unit"]),
     ("wrong dimension", '"2 s"', '"2 kg"', ["duration", "'kg' does not fit", "'s'"]),
     ("unknown unit", '"2 s"', '"2 fortnights"', ["duration", "fortnights", "known"]),
     ("negative duration", '"2 s"', '"-2 s"', ["duration", "-2 s", "longer than 0 s"]),

@@ -122,7 +122,7 @@ def test_a_load_that_varies_scales_the_truth(base: str, scenario_file: Maker, tm
         ('sine = {amplitude = "1 N.m", frequency = "0 Hz"}', ["stimuli[0].sine.frequency", "higher than 0 Hz"]),
         ('sine = {amplitude = "1 N.m", freqency = "1 Hz"}', ["stimuli[0].sine.freqency", "did you mean 'frequency'"]),
         ('noise = {rms = "1 N.m"}', ["stimuli[0].noise.bandwidth", "missing"]),
-        ('noise = {rms = 1.0, bandwidth = "1 Hz"}', ["stimuli[0].noise.rms", "missing unit"]),
+        ('noise = {rms = 1.0, bandwidth = "1 Hz"}', ["stimuli[0].noise.rms", "has no unit"]),
         ('noise = {rms = "1 N.m", bandwidth = "600 Hz"}', ["stimuli[0].noise.bandwidth", "below 500 Hz"]),
         ('noise = {rms = "1 N.m", bandwidth = "1 Hz", seed = -1}', ["stimuli[0].noise.seed", "at least 0"]),
     ],

@@ -36,7 +36,7 @@ def test_quantities(text, si, value):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("20", "missing unit"), ("20 V", "does not fit"), ("20 foo", "'foo' is not known"), ("x ms", "not a quantity"),
+        ("20", "has no unit"), ("20 V", "does not fit"), ("20 foo", "'foo' is not known"), ("x ms", "not a quantity"),
         ("nan s", "not finite"), (True, "not a quantity"), (None, "not a quantity"), ("", "not a quantity"),
     ],
 )  # fmt: skip
