@@ -68,8 +68,7 @@ def _eq25(found: Comparison) -> Any:
     low, high = PRINTED["mse"].values
     ax.axvspan(low, high, color=GREY, alpha=0.3, linewidth=0, label=f"printed: {low:g} to {high:g} %")
     looks = {scheme: (SCHEME_COLOURS[scheme], "o", LETTERS[scheme]) for scheme in SCHEMES}
-    looks |= {name: (INK, mark, MODEL_LABELS[name]) for name, mark in (("coulomb", "D"), ("floor", "|"))}
-    looks["linear"] = (INK, "s", "fitted linear model, no friction")
+    looks |= {name: (INK, mark, MODEL_LABELS[name]) for name, mark in (("coulomb", "D"), ("floor", "|"), ("linear", "s"))}
     for name, (colour, mark, label) in looks.items():
         points = [(row[name], k) for k, row in enumerate(rows) if row[name] is not None and math.isfinite(row[name])]
         x = [max(value, 1e-14) for value, _ in points]
@@ -182,7 +181,7 @@ def _marks(axes: Sequence[Any]) -> tuple[list[Any], list[str]]:
 def _validation(found: Comparison) -> Any:
     """Draw measured and predicted velocity, a panel for each scheme and one for the linear model, and the errors below."""
     panels = [(scheme, "model", LETTERS[scheme], SCHEME_COLOURS[scheme]) for scheme in SCHEMES]
-    panels.append((BASELINE_SCHEME, "linear", "fitted linear model, no friction", MODEL_COLOURS["linear"]))
+    panels.append((BASELINE_SCHEME, "linear", MODEL_LABELS["linear"], MODEL_COLOURS["linear"]))
     figure = new_figure(11.0, 7.4)
     grid = figure.add_gridspec(5, 2, height_ratios=[2.0, 0.9, 0.42, 2.0, 0.9], hspace=0.12, wspace=0.08)
     first, last = found.window("validation_window")

@@ -22,7 +22,7 @@ HERE = {
     5: "The same record, from the start of step 2; (c) has no steps and starts at 0 s. Dashed: the printed levels, a hundred times "
     "larger as in set S, whose truth they are. What leaves the axes is cut off.",
     6: "Set S, order 1, second record: the models run open loop from rest, with the voltage only. Grey: the velocity of the plant, "
-    "exact. The last panel has no friction model at all.",
+    "exact. The model of the last panel has viscous friction only.",
 }
 GAIN_UNITS = {"vc": "deg/s", "c1": "1/s", "gamma": "1", "k0": "1", "lambda": "1/s"}
 UNUSED = "not used"
@@ -110,13 +110,13 @@ def _worth(content: Mapping[str, Any]) -> str:
     verdict = ""
     if linear and min(linear) <= high:
         verdict = (
-            f" A value of {low:g} to {high:g} % therefore does not tell a model of friction from none: it has to be compared "
-            "with what simpler models reach on the same records."
+            f" A value of {low:g} to {high:g} % therefore does not tell a model with dry friction from one without: it has to be "
+            "compared with what simpler models reach on the same records."
         )
     return (
         "<p>The paper judges its models by eq. (25), the variance of the prediction's error over that of the velocity, finds "
-        f"{low:g} to {high:g} % and calls that acceptable. On records like the paper's, <b>a linear model without any friction "
-        f"reaches {spans['linear']}</b>, viscous and Coulomb friction {spans['coulomb']}, the scheme as printed "
+        f"{low:g} to {high:g} % and calls that acceptable. On records like the paper's, <b>a linear model, with viscous "
+        f"friction only, reaches {spans['linear']}</b>, viscous and Coulomb friction {spans['coulomb']}, the scheme as printed "
         f"{spans['printed']}, as repaired {spans['repaired']}, the best observer {spans['best']}.{verdict}</p>"
     )
 
@@ -130,7 +130,7 @@ def _eq25(content: Mapping[str, Any]) -> str:
                  for key in COMPARED]  # fmt: skip
         rows.append((name, *cells))
         reasons |= {each["kind"]: REASONS[each["kind"]] for each in remarks.values()}
-    head = ("record", *(LETTERS[s] for s in SCHEMES), "linear, no friction", "viscous + Coulomb", "floor")
+    head = ("record", *(LETTERS[s] for s in SCHEMES), "linear, viscous only", "viscous + Coulomb", "floor")
     legend = (
         "<p>Eq. (25) in %; in the paper 4 to 6 %. Linear, Coulomb and floor are fitted to the first record, the floor with the "
         "model of (15), (17) and bristle damping. Where the plant is not that model (set L0), (c) may come below it: it estimates "

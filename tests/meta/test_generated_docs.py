@@ -22,3 +22,10 @@ def test_page_is_up_to_date(name):
     committed = (ROOT / "docs" / name).read_text(encoding="utf-8")
     page = generate.PAGES[name]
     assert committed in (page(), page(SHIPPED)), f"docs/{name} is old; run: python docs/generate.py"
+
+
+def test_the_readme_counts_what_is_shipped():
+    page = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert f"observer with {len(SHIPPED['observers'])} methods" in page
+    assert f"effect out of {len(SHIPPED['effects'])}," in page
+    assert (len(SHIPPED["laws"]), "LuGre and eleven other laws" in page) == (12, True)
