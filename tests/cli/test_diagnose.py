@@ -113,6 +113,10 @@ def test_mistakes_are_one_line_before_time_is_spent(call: Call, asked: dict[str,
     (tmp_path / "file").write_text("")
     one_line(call("diagnose", "--data", "a.csv", "--out", tmp_path / "out"), "MODEL.toml", "--fmu")
     one_line(call("diagnose", "m.toml", "--out", tmp_path / "out"), "--data")
+    one_line(
+        call("diagnose", "m.toml", "--data", "a.csv", "b.csv", "c.csv"),
+        "b.csv, c.csv: no option before it; write --data before each",
+    )
     one_line(call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "out", "--choose", "honey"), "honey", "gravity")
     one_line(call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "file"), "output folder")
     assert "arguments" not in asked
