@@ -88,7 +88,7 @@ def error_of_b(seeds: Sequence[int]) -> None:
     program = observer_program("two_step")
     rms, largest = [], []
     for seed in seeds:
-        data = {name: values for name, values in record("S", 1, seed, 200.0).items() if name != "encoder"}
+        data = {name: record("S", 1, seed, 200.0)[name] for name in ("u", "y_theta", "y_v")}
         out, _ = Native(program).run(RECORD_STEP, data, ["b_hat"])
         error = 100.0 * (out[round(100.0 / RECORD_STEP) :, 0] / TRUE_PARAMETERS["S"]["b"] - 1.0)
         rms.append(float(np.sqrt(np.mean(error**2))))

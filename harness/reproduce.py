@@ -204,7 +204,7 @@ def _shortened(path: Path, share: float) -> list[str]:
     if scenario.validation is not None:
         lengths["validation.duration"] = scenario.validation.duration
     for name, given in scenario.observer.parameters.items():
-        if name.endswith(".step2_start"):
+        if name.endswith((".step2_start", ".longest_wait")):
             lengths[f"observer.parameters.{name}"] = quantity(str(given), "s")
     return [f"{name}={round(share * seconds, 3)} s" for name, seconds in lengths.items()]
 
@@ -379,7 +379,7 @@ def _printed_entry(key: str) -> dict[str, Any]:
 
 def _estimates(case: Case) -> dict[str, Any]:
     kept = ("unit", "true", "final", "valid", "error_percent", "settling_s")
-    return {name: {key: e[key] for key in kept} for name, e in case.result["estimates"].items()}
+    return {name: {key: e[key] for key in kept} | {"last": case.last.get(name)} for name, e in case.result["estimates"].items()}
 
 
 def _gain(case: Case, key: str) -> list[float] | None:

@@ -162,14 +162,17 @@ def _estimates(content: Mapping[str, Any]) -> str:
     head = ("", "place", "printed", "truth of set S", "its unit", *(LETTERS[scheme] for scheme in SCHEMES))
     when = " to ".join(f"{value:g}" for value in PRINTED["converged"].values)
     return table(head, rows, (2, 3)) + (
-        "<p>Set S, order 1: estimate at the end, its error, and the time after which the error stays within 5 % (of step 2 from "
-        f"its start). The paper says that all parameters of step 2 converge at {when} s; it has no truth to compare with.</p>"
+        "<p>Set S, order 1: estimate at the end, its error, and the time after which the error stays within 5 % (of step 2 of (a) "
+        f"from its start). The paper says that all parameters of step 2 converge at {when} s; it has no truth to compare with.</p>"
     )
 
 
 def _final(e: Mapping[str, Any] | None, begin: float, place: str) -> str:
-    if e is None or not e["valid"] or e["final"] is None:
-        return "not valid"
+    if e is None or e["last"] is None or not math.isfinite(e["last"]):
+        return "none"
+    if not e["valid"] or e["final"] is None:
+        off = "" if e["true"] is None else f"{number(100.0 * (e['last'] / e['true'] - 1.0), 2)} %, "
+        return f'{number(e["last"], 4)}<div class="sub">{off}not valid</div>'
     settled = e["settling_s"]
     own = begin if place == "Fig. 5" else 0.0
     when = "never" if settled is None or not math.isfinite(settled) else f"{number(max(settled - own, 0.0), 3)} s"

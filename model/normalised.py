@@ -15,6 +15,9 @@ NORMALISED = {  # name: (unit, meaning)
     "a0": ("rad", "presliding distance at high speed"),
     "a1": ("rad", "what is added to it at rest"),
     "v0": ("rad/s", "Stribeck velocity"),
+    "sigma0_1": ("1/s2", "stiffness over inertia of the first of three elements side by side"),
+    "sigma0_2": ("1/s2", "stiffness over inertia of the second of three elements side by side"),
+    "sigma0_3": ("1/s2", "stiffness over inertia of the third of three elements side by side"),
 }
 OBSERVED = NORMALISED | {  # what an observer may estimate beside the servo's own parameters
     "width": ("1", "widths and centres of the basis functions over the nominal ones"),

@@ -127,6 +127,8 @@ def update(context: EquationContext, s: Sample, entries: Entries) -> Update:
             "x2": x2 + ca.dot(upsilon, theta_new - theta),
         },
         estimates=entries.estimates(p),
+        valid={name: SX(0) for name in entries.published},  # what it needs of the input is not seen in its signals
+        adapted=SX(0),
         signals={"v": p.velocity0},
         first={"velocity0": s.y1},
     )

@@ -49,6 +49,8 @@ def update(context: EquationContext, s: Sample, entries: Entries) -> Update:
         next={name: ca.if_else(ready, value, p[name]) for name, value in moved.items()}
         | {"x0": ca.if_else(ready, moved["x0"], s.y0), "y_before": s.y0, "u_before": s.u, "seen": SX(1)},
         estimates=entries.estimates(p),
+        valid={name: SX(0) for name in entries.published},  # what it needs of the input is not seen in its signals
+        adapted=SX(0),
         signals={"v": p.x0},
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace
-from bristle.observer import zhang
+from bristle.observer import step2, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
@@ -54,7 +54,8 @@ def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     estimates, signals = published(p, p.alpha2)
-    return Update(step(context, s, filter_of(context, s), p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
+    beside, fields = step2.alone(context, s, estimates, step2.from_velocity(s))
+    return Update(step(context, s, filter_of(context, s), p.alpha2, p.b) | beside, **fields, signals=signals, first={"x0": s.y1})
 
 
 METHOD = Method(
@@ -67,6 +68,6 @@ METHOD = Method(
         *zhang.gain_parameters("besancon", K0, LAM, START_VALUES),
         *zhang.matrix_parameters("besancon"),
     ),
-    zhang.states(2),
+    (*zhang.states(2), *step2.COMPANION_STATES),
     _equations,
 )

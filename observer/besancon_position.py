@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter
-from bristle.observer import besancon, zhang
+from bristle.observer import besancon, kalman, smoothing, step2, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 SX = ca.SX
@@ -86,7 +86,10 @@ def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     estimates, signals = published(p, p.alpha2)
-    return Update(step(context, s, p.alpha2, p.b), estimates, signals, first={"x0": s.y1})
+    velocity, filters = smoothing.smooth(p, s)
+    beside, fields = step2.alone(context, velocity, estimates, step2.from_position(p, s))
+    own = step(context, s, p.alpha2, p.b)
+    return Update(own | filters | beside, **fields, signals=signals, first={"x0": s.y1})
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
@@ -102,7 +105,12 @@ METHOD = Method(
     "Besancon-Zhang-Hammouri observer from position, n = 3, with a matrix gain; alpha2 and b known",
     "besancon2004 eq. (6) with the gain of zhang2002",
     "y_theta",
-    (*zhang.known_parameters("besancon_position"), *parameters("besancon_position")),
-    zhang.states(3),
+    (
+        *zhang.known_parameters("besancon_position"),
+        kalman.resolution_parameter("besancon_position"),
+        smoothing.parameter("besancon_position"),
+        *parameters("besancon_position"),
+    ),
+    (*zhang.states(3), *smoothing.STATES, *step2.COMPANION_STATES),
     _equations,
 )

@@ -62,7 +62,14 @@ def published(context: EquationContext, alpha2: SX) -> tuple[dict[str, SX], dict
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     estimates, signals = published(context, p.alpha2)
-    return Update(step(context, s, p.alpha2, p.b), estimates, signals, first={"x0": s.y1 / UNIT})
+    return Update(
+        step(context, s, p.alpha2, p.b),
+        estimates,
+        signals,
+        first={"x0": s.y1 / UNIT},
+        valid={name: SX(0) for name in estimates},
+        adapted=SX(0),
+    )
 
 
 METHOD = Method(

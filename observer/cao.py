@@ -10,6 +10,7 @@ The upper level keeps the region in which theta lies; the lower level moves the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
@@ -178,22 +179,33 @@ def _equations(context: EquationContext, s: Sample) -> Update:
             **unstack("theta", theta_new), **unstack("least", lo), **unstack("most", hi),
             "u_before": s.u, "v_before": s.y0, "doubt": doubt,
         },
-        estimates={
-            "sigma0": ca.exp(-p.theta3),
-            "a0": ca.exp(p.theta0 + p.theta3),
-            "a1": ca.exp(p.theta1 + p.theta3),
-            "v0": 1 / ca.sqrt(p.theta2),
-            "Fc": ca.exp(p.theta0),
-        },
-        valid=valid(p),
+        estimates=_estimates(p),
+        **worth(p),
+        innovation=p.doubt / CONTRADICTION_SHARE,
     )  # fmt: skip
 
 
-def valid(p: Namespace) -> dict[str, SX]:
-    """Return which estimates are close to all of the region, valid while almost no samples contradict it."""
+def worth(p: Namespace) -> dict[str, Any]:
+    """Return standard deviations and validity: close to all of the region, while almost no samples contradict it.
+
+    The bounds of the region count as two standard deviations.
+    """
     fc, fd, q, soft = (ca.fmax(p[f"most{i}"] - p[f"theta{i}"], p[f"theta{i}"] - p[f"least{i}"]) for i in INDICES)
     largest = {"sigma0": soft, "a0": fc + soft, "a1": fd + soft, "v0": q / (2 * p.theta2), "Fc": fc}  # relative errors
-    return {name: ca.logic_and(p.doubt < CONTRADICTION_SHARE, each < p.precision) for name, each in largest.items()}
+    close = {name: ca.logic_and(p.doubt < CONTRADICTION_SHARE, each < p.precision) for name, each in largest.items()}
+    found = _estimates(p)
+    return {"valid": close, "sd": {name: each * found[name] / 2 for name, each in largest.items()}}
+
+
+def _estimates(p: Namespace) -> dict[str, SX]:
+    """Return what theta says of the law."""
+    return {
+        "sigma0": ca.exp(-p.theta3),
+        "a0": ca.exp(p.theta0 + p.theta3),
+        "a1": ca.exp(p.theta1 + p.theta3),
+        "v0": 1 / ca.sqrt(p.theta2),
+        "Fc": ca.exp(p.theta0),
+    }
 
 
 METHOD = Method(

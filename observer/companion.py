@@ -25,7 +25,7 @@ Source: ljung1999 sections 9.6 and 11.2; hausman1978 (an estimate against one th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,19 +63,51 @@ class Row:
     alike: SX
 
 
-class Companion:
-    """The least squares of the entries of theta called `names`, beside `extra` further columns."""
+@dataclass(frozen=True)
+class View:
+    """A regression in entries that are functions of fewer: h' g(theta), near some theta h' (slope theta + rest).
 
-    def __init__(self, names: Sequence[str], extra: int = 0, prefix: str = "") -> None:
-        self.names, self.prefix = tuple(names), prefix
-        self.count, self.columns = len(self.names), len(self.names) + extra
+    `origin`: values about which something is known beforehand; `certainty`: with which information, `exact`: the same in multiples
+    of what the samples say. `derived`: returns values and slopes of what follows from theta.
+    """
+
+    slope: SX
+    rest: SX
+    origin: SX
+    certainty: SX
+    exact: SX
+    derived: Callable[[SX], tuple[SX, SX]]
+
+    def of(self, information: SX, line: SX) -> tuple[SX, SX]:
+        """Return (information, line) of theta - origin and of z."""
+        n, entries = self.slope.shape[1], self.slope.shape[0]
+        turn = SX(entries + 1, n + 1)
+        turn[:entries, :n], turn[:entries, n], turn[entries, n] = self.slope, -self.rest - self.slope @ self.origin, 1
+        seen = turn.T @ information @ turn
+        own = ca.diag(seen)[:n]
+        return seen + ca.diag(ca.vertcat(self.certainty + self.exact * own, 0)), turn.T @ line
+
+
+class Companion:
+    """The least squares of the entries of theta called `names`, beside `extra` further columns.
+
+    Through a `View` the samples may have `entries` columns of which theta are fewer functions, and further quantities, called
+    `derived`, may follow from theta.
+    """
+
+    def __init__(
+        self, names: Sequence[str], extra: int = 0, prefix: str = "", entries: int = 0, derived: Sequence[str] = ()
+    ) -> None:
+        self.names, self.prefix, self.fitted = (*names, *derived), prefix, len(names)
+        self.count, self.columns = len(self.names), len(names) + extra
+        self.entries = entries or self.columns
 
     @property
     def states(self) -> tuple[State, ...]:
         """What the companion remembers."""
         pre = self.prefix
         return (
-            *information.states(self.columns + 1, f"{pre}information"),
+            *information.states(self.entries + 1, f"{pre}information"),
             *vector_states(f"{pre}fit", "1", f"least squares of {', '.join(self.names)}", self.count),
             *vector_states(f"{pre}narrow", "1", "the same without the further columns", self.count),
             *vector_states(f"{pre}unit", "1", "their variance for unit variance of the residual", self.count),
@@ -83,46 +115,63 @@ class Companion:
             State(f"{pre}rows", "1", "samples remembered"),
             State(f"{pre}counted", "s", "time that has counted"),
             State(f"{pre}residual", "1", "variance of the residual that independent samples would have"),
+            State(f"{pre}left", "1", "sum of squares left unexplained"),
             State(f"{pre}adapted", "1", "1 when more independent samples have counted than there are columns"),
             State(f"{pre}late", "1", "mean squared residual of late over what the sensor explains"),
             *consistency.states(self.count, pre),
         )
 
-    def advance(self, p: Namespace, row: Row, kept: SX, period: SX) -> dict[str, SX]:
+    def advance(self, p: Namespace, row: Row, kept: SX, period: SX, look: Callable[[SX], View] | None = None) -> dict[str, SX]:
         """Return the next states after a sample that, if it counts, leaves the share `kept` of what was known.
 
         Source: ljung1999 section 11.2 (information form); flyvbjerg1989 (samples that share an error).
         """
-        pre, n = self.prefix, self.count
+        pre, n = self.prefix, self.fitted
         line = ca.vertcat(row.h, row.x, row.z)
-        before, rows = information.read(p, self.columns + 1, f"{pre}information"), p[f"{pre}rows"]
+        before, rows = information.read(p, self.entries + 1, f"{pre}information"), p[f"{pre}rows"]
         r = ca.if_else(row.counts, kept * before + line @ line.T, before)
         rows = ca.if_else(row.counts, kept * rows + 1, rows)
-        factors = information.Factors(r + RIDGE_SHARE * ca.diag(ca.diag(r)))
+        view = look(r) if look else None
+        seen, looked = view.of(r, line) if view else (r, line)
+        factors = information.Factors(seen + RIDGE_SHARE * ca.diag(ca.diag(seen)))
         everything, unit = factors.regression(), factors.inverse_diagonal(self.columns)[:n]
-        distinct = unit * ca.diag(r)[:n] * LEAST_DISTINCT < 1  # 1 over their product is the share that the others do not explain
+        distinct = unit * ca.diag(seen)[:n] * LEAST_DISTINCT < 1  # 1 over their product is the share that the others do not explain
+        found, narrow = everything[:n], factors.regression(n)
+        if view:
+            found = found + view.origin
+            values, slopes = view.derived(found)
+            spread = [factors.inverse_along(slopes[i, :].T) for i in range(values.numel())]
+            found = narrow = ca.vertcat(found, values)
+            unit = ca.vertcat(unit, *spread)
+            distinct = ca.vertcat(distinct, *([ca.mmin(distinct)] * len(spread)))
         free = rows / row.alike - self.columns  # independent samples beyond the unknowns
         adapted = free > 0
-        residual = factors.d[-1] / ca.fmax(free, 1)
-        lost = ca.if_else(row.counts, ca.fmax(stack(p, f"{pre}unit", n) / ca.fmax(kept, LEAST_KEPT) - unit, 0), 0)
-        fit = ca.if_else(adapted, everything[:n], 0)
+        left, unit = ca.fabs(factors.d[-1]), ca.fabs(unit)  # rounding may have cost them their sign
+        residual = left / ca.fmax(free, 1)
+        lost = ca.if_else(row.counts, ca.fmax(stack(p, f"{pre}unit", self.count) / ca.fmax(kept, LEAST_KEPT) - unit, 0), 0)
+        fit = ca.if_else(adapted, found, 0)
         time, age = ca.if_else(row.counts, period, 0), p[f"{pre}counted"]
-        square = ca.fmin((row.z - ca.dot(line[:-1], everything)) ** 2 / ca.fmax(row.noise, LEAST_NOISE), LARGEST_SQUARE)
+        square = ca.fmin((looked[-1] - ca.dot(looked[:-1], everything)) ** 2 / ca.fmax(row.noise, LEAST_NOISE), LARGEST_SQUARE)
         late = p[f"{pre}late"]
         share = time / ca.fmin(age + period, LATE_TIME)
         return {
             **information.write(r, f"{pre}information"),
             **unstack(f"{pre}fit", fit),
-            **unstack(f"{pre}narrow", ca.if_else(adapted, factors.regression(n), 0)),
+            **unstack(f"{pre}narrow", ca.if_else(adapted, narrow, 0)),
             **unstack(f"{pre}unit", unit),
             **unstack(f"{pre}distinct", distinct),
             f"{pre}rows": rows,
             f"{pre}counted": age + time,
             f"{pre}residual": residual,
+            f"{pre}left": left,
             f"{pre}adapted": adapted,
             f"{pre}late": late + share * (square - late),
             **consistency.blocks(p, fit, residual * lost, (age, time, p[f"{pre}adapted"] > 0), BLOCKS_OF_CLAIM, pre),
         }
+
+    def values(self, p: Namespace) -> SX:
+        """Return the least squares as a vector."""
+        return stack(p, f"{self.prefix}fit", self.count)
 
     def fit(self, p: Namespace) -> dict[str, SX]:
         """Return the least squares beside the further columns; 0 before there are enough samples."""
@@ -143,6 +192,20 @@ class Companion:
         fit = self.fit(p)
         square = {name: own[self.names.index(name)] + (x - fit[name]) ** 2 for name, x in estimates.items()}
         return {name: ca.fmin(ca.sqrt(each), LARGEST_SD) for name, each in square.items()}
+
+    def dilution(self, p: Namespace, name: str, size: SX) -> SX:
+        """Return by what share of its size noise in the regressor of an entry may have made it too small, at most.
+
+        The true value lies between the least squares and those of the regressor on z, which are larger by this share.
+        Source: frisch1934 (bounds by reverse regression).
+        """
+        unit = p[f"{self.prefix}unit{self.names.index(name)}"]
+        return SX(ca.fmin(p[f"{self.prefix}left"] * unit / (size**2 + LEAST_NOISE), LARGEST_SD))
+
+    def mean_square(self, p: Namespace, entry: int) -> SX:
+        """Return the mean square of a column of the samples."""
+        diagonal = p[f"{self.prefix}information{entry * (entry + 3) // 2}"]
+        return SX(diagonal / ca.fmax(p[f"{self.prefix}rows"], 1))
 
     def judge(self, p: Namespace, sd: Mapping[str, SX], limits: Mapping[str, SX], possible: SX) -> dict[str, Any]:
         """Return the fields of an `Update` for estimates with these standard deviations, each valid below its limit.

@@ -13,7 +13,7 @@ from itertools import combinations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import extension, zhang
+from bristle.observer import extension, step2, zhang
 from bristle.observer.besancon import START_VALUES
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
@@ -117,7 +117,9 @@ def published(p: Namespace, v: SX, alpha2: SX) -> tuple[dict[str, SX], dict[str,
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    return Update(step(p, s, p.alpha2, p.b), *published(p, p.last_y, p.alpha2))
+    estimates, signals = published(p, p.last_y, p.alpha2)
+    beside, fields = step2.alone(context, s, estimates, step2.from_velocity(s))
+    return Update(step(p, s, p.alpha2, p.b) | beside, **fields, signals=signals)
 
 
 def parameters(prefix: str, bandwidth: float) -> tuple[Parameter, ...]:
@@ -150,6 +152,6 @@ METHOD = Method(
     CITATION,
     "y_v",
     (*zhang.known_parameters("drem"), *parameters("drem", 20.0)),
-    STATES,
+    (*STATES, *step2.COMPANION_STATES),
     _equations,
 )

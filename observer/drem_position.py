@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bristle.observer import drem, smoothing, zhang
+from bristle.observer import drem, kalman, smoothing, step2, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 DREM_BANDWIDTH = 15.0
@@ -11,7 +11,9 @@ DREM_BANDWIDTH = 15.0
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
     velocity, states = smoothing.smooth(p, s)
-    return Update(states | drem.step(p, velocity, p.alpha2, p.b), *drem.published(p, p.smoother0, p.alpha2))
+    estimates, signals = drem.published(p, p.smoother0, p.alpha2)
+    beside, fields = step2.alone(context, velocity, estimates, step2.from_position(p, s))
+    return Update(states | drem.step(p, velocity, p.alpha2, p.b) | beside, **fields, signals=signals)
 
 
 METHOD = Method(
@@ -21,9 +23,10 @@ METHOD = Method(
     "y_theta",
     (
         *zhang.known_parameters("drem_position"),
+        kalman.resolution_parameter("drem_position"),
         smoothing.parameter("drem_position"),
         *drem.parameters("drem_position", DREM_BANDWIDTH),
     ),
-    (*smoothing.STATES, *drem.STATES),
+    (*smoothing.STATES, *drem.STATES, *step2.COMPANION_STATES),
     _equations,
 )

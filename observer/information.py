@@ -72,6 +72,13 @@ class Factors:
             x[i] = x[i] - sum(self.l[k][i] * x[k] for k in range(i + 1, count))
         return ca.vertcat(*x)
 
+    def inverse_along(self, direction: SX) -> SX:
+        """Return a' R^-1 a for the vector a of the first variables, R being the matrix of these."""
+        forward: list[SX] = []
+        for i in range(direction.numel()):
+            forward.append(direction[i] - sum(self.l[i][k] * forward[k] for k in range(i)))
+        return SX(sum(x**2 / self.d[i] for i, x in enumerate(forward)))
+
     def inverse_diagonal(self, count: int | None = None) -> SX:
         """Return the diagonal of the inverse (L^-1)' D^-1 L^-1, of the whole matrix or of that of the first `count`."""
         n, total = self.n if count is None else count, []

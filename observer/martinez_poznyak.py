@@ -16,7 +16,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import zhang
+from bristle.observer import step2, zhang
 from bristle.observer.besancon import START_VALUES
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 from bristle.observer.rls import least_squares
@@ -89,7 +89,9 @@ def published(p: Namespace, alpha2: SX) -> tuple[dict[str, SX], dict[str, SX]]:
 
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    return Update(step(p, s, p.alpha2, p.b), *published(p, p.alpha2), first={"x0": s.y1})
+    estimates, signals = published(p, p.alpha2)
+    beside, fields = step2.alone(context, s, estimates, step2.from_velocity(s))
+    return Update(step(p, s, p.alpha2, p.b) | beside, **fields, signals=signals, first={"x0": s.y1})
 
 
 def parameters(prefix: str, bandwidth: float, noise: float) -> tuple[Parameter, ...]:
@@ -130,6 +132,6 @@ METHOD = Method(
     CITATION,
     "y_v",
     (*zhang.known_parameters("martinez_poznyak"), *parameters("martinez_poznyak", 1000.0, 0.1)),
-    STATES,
+    (*STATES, *step2.COMPANION_STATES),
     _equations,
 )

@@ -6,23 +6,16 @@ with chi_ij' = phi_j(v) v - c_i |v| chi_ij, which needs nothing but the velocity
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 
 from bristle.model.basis import BASIS_COUNT, gaussian, width_parameter
-from bristle.model.variables import Namespace, Parameter
-from bristle.observer import rls
-from bristle.observer.method import (
-    EquationContext,
-    Method,
-    Sample,
-    Update,
-    stack,
-    stack_symmetric,
-    symmetric_states,
-    unstack,
-    unstack_symmetric,
-    vector_states,
-)  # fmt: skip
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import filtered, step1, swapping
+from bristle.observer.companion import LARGEST_SD, Companion, Row, View
+from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
+from bristle.observer.swapping import LEAST_DRIVE, SETTLED_AFTER
 
 SX = ca.SX
 CITATION = "dixit2008 eq. (15) and (17), elements side by side as in iwan1966"
@@ -30,9 +23,11 @@ FIT_CITATION = "ljung1999 section 11.2"
 GRID = (30.0, 100.0, 300.0)  # 1/rad
 WEIGHTS = BASIS_COUNT + 1
 CHI = len(GRID) * WEIGHTS
-ENTRY_COUNT = 2 + CHI  # alpha2, b, sigma_ij
-START_VARIANCES = [1e4] * 2 + [1e8] * CHI  # variances
-LARGEST = ENTRY_COUNT * 1e8  # size that forgetting may give the covariance
+STIFFNESSES = tuple(f"sigma0_{i}" for i in range(1, len(GRID) + 1))
+SIGMAS = tuple(f"sigma{j}_{i}" for i in range(1, len(GRID) + 1) for j in range(WEIGHTS))
+ENTRIES = ("alpha2", "b", *SIGMAS, "load", "late_drive")  # the last is -b times the delay in samples
+COMPANION = Companion(ENTRIES, entries=len(ENTRIES), derived=("Fc", "lateness"))
+BESIDE = 4  # signals that are filtered beside chi: v', -v, u, change of u
 
 
 def _distances(p: Namespace) -> SX:
@@ -54,40 +49,76 @@ def _relaxed(p: Namespace, s: Sample) -> SX:
     return ca.vertcat(*new)
 
 
+def _view(c: SX) -> View:
+    """Return the regression as it is, with Coulomb friction sum sigma_i0 / c_i and the delay beside its entries."""
+    n = len(ENTRIES)
+    slope = SX.zeros(1, n)
+    for i, name in enumerate(STIFFNESSES):
+        slope[ENTRIES.index(name)] = 1 / c[i]
+
+    def derived(fit: SX) -> tuple[SX, SX]:
+        drive = fit[1] / (fit[1] ** 2 + LEAST_DRIVE**2)
+        late = SX.zeros(1, n)
+        late[n - 1] = -drive
+        return ca.vertcat(slope @ fit, late @ fit), ca.vertcat(slope, late)
+
+    nothing = SX(n, 1)
+    return View(SX.eye(n), nothing, nothing, nothing, nothing, derived)
+
+
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Filter v' = -alpha2 v + b u - sum sigma_ij chi_ij on both sides, and fit.
+    """Filter v' = -alpha2 v + b u - sum sigma_ij chi_ij + d on both sides, and fit.
 
     Source: ljung1999 section 11.2.
     """
-    p = context.p
+    p, c = context.p, _distances(context.p)
     chi, new = stack(p, "chi", CHI), _relaxed(p, s)
-    raw = ca.vertcat((s.y1 - s.y0) / s.period, -(s.y0 + s.y1) / 2, s.u, -(chi + new) / 2)
+    size = BESIDE + CHI
+    raw = ca.vertcat((s.y1 - s.y0) / s.period, -(s.y0 + s.y1) / 2, s.u, s.u - p.u_before, -(chi + new) / 2)
     gain = 1 - ca.exp(-p.cutoff * s.period)
-    once = stack(p, "once", ENTRY_COUNT + 1)
+    once, twice = stack(p, "once", size), stack(p, "twice", size)
     once_new = once + gain * (raw - once)
-    row = stack(p, "twice", ENTRY_COUNT + 1)
-    row_new = row + gain * (once_new - row)
-    theta, covariance = stack(p, "theta", ENTRY_COUNT), stack_symmetric(p, "cov", ENTRY_COUNT)
-    h, error = row_new[1:], row_new[0] - ca.dot(row_new[1:], theta)
-    change, covariance_new = rls.least_squares(covariance, h, error, SX(1), p.forgetting, SX(LARGEST))
-    levels = theta[2::WEIGHTS] / _distances(p)
-    w = ca.dot(theta[2:], chi)
+    row_new = twice + gain * (once_new - twice)
+    h = ca.vertcat(row_new[1:3], row_new[BESIDE:], 1, row_new[3])
+    noise = 2 * (p.noise * gain / s.period) ** 2
+    row = Row(row_new[0], h, SX(0, 1), p.samples * s.period * p.cutoff > SETTLED_AFTER, noise, 2 / (p.cutoff * s.period))
+    view = _view(c)
+    fitted = COMPANION.advance(p, row, ca.exp(-s.period / p.memory), s.period, lambda _: view)
+    found = COMPANION.fit(p)
+    w = ca.dot(ca.vertcat(*(found[name] for name in SIGMAS)), chi)
     return Update(
         next={
-            **unstack("chi", new),
-            **unstack("once", once_new),
-            **unstack("twice", row_new),
-            **unstack("theta", theta + change),
-            **unstack_symmetric("cov", covariance_new),
+            **unstack("chi", new), **unstack("once", once_new), **unstack("twice", row_new), "u_before": s.u, **fitted,
         },
-        estimates={"alpha2": theta[0], "b": theta[1], "Fc": ca.sum1(levels)},
-        signals={"v": p.last_y, "w": w, "F": w + theta[0] * p.last_y},
-    )
+        **_published(p, found, s.period),
+        signals={"v": p.last_y, "w": w, "F": w + found["alpha2"] * p.last_y},
+    )  # fmt: skip
+
+
+def _published(p: Namespace, found: dict[str, SX], period: SX) -> dict[str, Any]:
+    """Return the fields of an `Update`: the stiffness of each element counts as known against that of all of them.
+
+    To how much the estimates move comes what noise in their regressors may do. A friction that is negative for sure refutes the
+    model.
+    Source: frisch1934.
+    """
+    sd = COMPANION.deviations(p, found)
+    stiffness = ca.fabs(sum(found[name] for name in STIFFNESSES))
+    sizes = {name: stiffness for name in STIFFNESSES}
+    sizes |= {name: ca.fabs(found[name]) for name in ("alpha2", "b", "Fc")} | {"load": ca.fabs(found["Fc"])}
+    for name, size in sizes.items():
+        share = swapping.BOUND_SHARE * COMPANION.dilution(p, name, size)
+        sd[name] = ca.fmin(ca.sqrt(sd[name] ** 2 + size**2 * (share**2 + (swapping.HELD_RATE * period) ** 2)), LARGEST_SD)
+    sd["delay"] = ca.sqrt(sd["lateness"] ** 2 + swapping.LEAST_DELAY_SD**2)
+    possible = ca.logic_and(*(found[name] > -step1.IMPOSSIBLE_BY * sd[name] for name in ("alpha2", "Fc")))
+    limits = {name: step1.VALID_SHARE * size for name, size in sizes.items()} | {"delay": SX(step1.VALID_DELAY)}
+    estimates = {name: found[name] for name in sizes} | {"delay": found["lateness"] + p.delay}
+    return {"estimates": estimates, **COMPANION.judge(p, sd, limits, possible)}
 
 
 METHOD = Method(
     "parallel_elements",
-    f"recursive least squares of alpha2, b and {len(GRID)} friction elements side by side, whose distances are chosen",
+    f"least squares of alpha2, b and {len(GRID)} friction elements side by side, whose distances are chosen",
     CITATION,
     "y_v",
     (
@@ -98,15 +129,16 @@ METHOD = Method(
         Parameter(
             "parallel_elements.cutoff", "a", "rad/s", 150.0, 1e-3, 1e5, "corner of each of two low-pass sections", FIT_CITATION
         ),
-        Parameter("parallel_elements.forgetting", "mu", "1", 0.99999, 0.5, 1.0, "forgetting factor a sample", FIT_CITATION),
+        Parameter("parallel_elements.memory", "T", "s", 100.0, 0.1, 1e6, "time over which data is forgotten", FIT_CITATION),
+        filtered.noise_parameter("parallel_elements"),
         width_parameter("parallel_elements"),
     ),
     (
         *vector_states("chi", "1", "filtered basis functions", CHI),
-        *vector_states("once", "1", "signals after one section", ENTRY_COUNT + 1),
-        *vector_states("twice", "1", "signals after two sections", ENTRY_COUNT + 1),
-        *vector_states("theta", "1", "alpha2, b, sigma_ij", ENTRY_COUNT),
-        *symmetric_states("cov", "1", "their covariance", ENTRY_COUNT, START_VARIANCES),
+        *vector_states("once", "1", "signals after one section", BESIDE + CHI),
+        *vector_states("twice", "1", "signals after two sections", BESIDE + CHI),
+        State("u_before", "V", "input before the last one"),
+        *COMPANION.states,
     ),
     _equations,
 )

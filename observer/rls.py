@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
@@ -116,9 +117,14 @@ def estimates(p: Namespace) -> dict[str, SX]:
     return {name: found[name] for name in ESTIMATES}
 
 
+def published(p: Namespace, period: SX) -> dict[str, Any]:
+    """Return the fields of an `Update`."""
+    return step1.published(p, {}, period)
+
+
 def _equations(context: EquationContext, s: Sample) -> Update:
     p = context.p
-    return Update(fit(p, s), **step1.published(p, {}, s.period), signals={"v": p.last_v})
+    return Update(fit(p, s), **published(p, s.period), signals={"v": p.last_v})
 
 
 def filter_parameters(prefix: str, cutoff: float = 150.0, hold_off: float = 0.027) -> tuple[Parameter, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import kalman
 from bristle.observer.method import Sample, stack, unstack, vector_states
 
 SX = ca.SX
@@ -39,3 +40,20 @@ def smooth(p: Namespace, s: Sample) -> tuple[Sample, dict[str, SX]]:
     new = twice + gain * (once_new - twice)
     states = {**unstack("smooth", once_new), **unstack("smoother", new), "u_before": s.u, "smooth_runs": SX(1)}
     return Sample(new[1], twice[0], new[0], s.period), states
+
+
+def rounding_noise(resolution: SX, corner: SX, period: SX) -> SX:
+    """Return the variance of the smoothed velocity by a position that is rounded, two sections of gain g = 1 - q on its difference.
+
+    The squares of the impulse response, g^2 (1, 2 q - 1, .., q^(k-1) (q - k g), ..) / Ts, add up to the sum below.
+    Source: widrow2008 chapter 1.
+    """
+    q = ca.exp(-corner * period)
+    gain, rest = 1 - q, 1 - q**2
+    squares = 1 + q**2 / rest - 2 * q * gain / rest**2 + gain**2 * (1 + q**2) / rest**3
+    return SX(kalman.rounding(resolution) / period**2 * gain**4 * squares)
+
+
+def lag(p: Namespace, s: Sample) -> SX:
+    """Return the time over which velocity is smoothed and held."""
+    return SX(s.period + 2 / p.smoothing)

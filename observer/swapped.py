@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
-from bristle.observer import swapping
+from collections.abc import Iterable
+
+from bristle.model.variables import Parameter, State
+from bristle.observer import filtered, swapping
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
 
-def _equations(context: EquationContext, s: Sample) -> Update:
+def update(context: EquationContext, s: Sample, names: Iterable[str], prior: swapping.Prior | None = None) -> Update:
     """Run the filters on the velocity, linear between samples, and on the held input.
 
     Source: dixit2008 eq. (20)-(22).
     """
-    start, end = swapping.signals(s.u, s.y0, context.p.width), swapping.signals(s.u, s.y1, context.p.width)
-    return Update(
-        next=swapping.step(context, s, start, end),
-        estimates=swapping.estimates(context.p),
-        valid=swapping.valid(context.p),
-    )
+    p = context.p
+    change = s.u - p.u_before
+    ends = (swapping.signals(s.u, change, s.y0, p.width), swapping.signals(s.u, change, s.y1, p.width))
+    given = swapping.Settings(p.cutoff, p.memory, p.noise**2, s.period)
+    fit = swapping.observe(context, s, ends, given, swapping.OWN, prior)
+    return Update(next=fit | {"u_before": s.u}, **swapping.published(p, swapping.OWN, given, names))
 
+
+def _equations(context: EquationContext, s: Sample) -> Update:
+    return update(context, s, swapping.ESTIMATES)
+
+
+def parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare filter, memory, width and noise of the sensor under a method's name."""
+    return (*swapping.parameters(prefix, 20.0), filtered.noise_parameter(prefix))
+
+
+STATES = (*swapping.FILTER_STATES, *swapping.OWN.states, State("u_before", "V", "input before the last one"))
 
 METHOD = Method(
     "swapped",
-    "filtered Approach I: least squares of eight entries, six of them free, without differentiation",
+    "filtered Approach I: least squares of eleven entries, eight of them free, without differentiation",
     "dixit2008 eq. (20)-(22)",
     "y_v",
-    swapping.parameters("swapped", 20.0),
-    swapping.states(),
+    parameters("swapped"),
+    STATES,
     _equations,
 )

@@ -13,9 +13,8 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import drem, kalman, rls, smoothing, zhang
+from bristle.observer import drem, kalman, rls, smoothing, step2, two_step_drem, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
-from bristle.observer.two_step import begun, start_parameter, when
 
 SX = ca.SX
 CITATION = "glushchenko2024"
@@ -42,7 +41,7 @@ def instruments(p: Namespace, s: Sample, phi: zhang.Basis) -> tuple[SX, SX]:
 def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
     """Extend with instruments, average, mix, and advance theta as `drem` does.
 
-    The averages are over the record, at most its last `memory`. D is what Delta would be at most, by the inequalities of Hadamard
+    The averages are over the record, at most its last `reach`. D is what Delta would be at most, by the inequalities of Hadamard
     and of Cauchy and Schwarz.
     Source: glushchenko2024; aranovskiy2017.
     """
@@ -54,7 +53,7 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
     once_new = once + low * (signals - once)
     after = before + low * (once_new - before)
     zeta = (before + after) / 2
-    share = h / (ca.fmin(p.averaged, p.memory) + h)
+    share = h / (ca.fmin(p.averaged, p.reach) + h)
     mixed_phi, mixed_y, sizes = stack(p, "iv_phi", N, N), stack(p, "iv_y", N), stack(p, "iv_sizes", 2 * N)
     mixed_phi += share * (zeta @ row.T - mixed_phi)
     mixed_y += share * (zeta * z - mixed_y)
@@ -81,26 +80,20 @@ def step(p: Namespace, s: Sample, alpha2: SX, b: SX) -> dict[str, SX]:
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
-    """Run both steps; step 2 begins with empty filters.
+    """Run both steps as `two_step_drem`, the second with instruments.
 
-    Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
+    Source: dixit2008 section III, Approach II; glushchenko2024.
     """
-    p = context.p
-    step1 = rls.estimates(p)
-    velocity, filters = smoothing.smooth(p, s)
-    step2 = step(p, velocity, step1["alpha2"], step1["b"])
-    estimates, signals = drem.published(p, p.smoother0, step1["alpha2"])
-    return Update(
-        next=rls.fit(p, s) | filters | when(begun(context, s), step2, {name: p[name] for name in step2}),
-        estimates=step1 | estimates,
-        signals=signals,
-        valid={name: begun(context, s) for name in zhang.ESTIMATES},
-    )
+    return two_step_drem.equations(context, s, step)
 
 
 def parameters(prefix: str) -> tuple[Parameter, ...]:
-    """Declare filter and gain under a method's name; the averages reach back over the memory of the fit."""
-    return tuple(each for each in drem.parameters(prefix, IV_BANDWIDTH) if each.name != f"{prefix}.fading")
+    """Declare filter, averaging and gain under a method's name."""
+    text = "time over which the averages reach back"
+    return (
+        *(each for each in drem.parameters(prefix, IV_BANDWIDTH) if each.name != f"{prefix}.fading"),
+        Parameter(f"{prefix}.reach", "T_m", "s", 20.0, 0.1, 1e6, text, CITATION),
+    )
 
 
 STATES = (
@@ -121,12 +114,12 @@ METHOD = Method(
     "dixit2008 section III, Approach II; glushchenko2024",
     "y_theta",
     (
-        start_parameter("two_step_iv_drem", 20.0),
+        step2.start_parameter("two_step_iv_drem"),
         kalman.resolution_parameter("two_step_iv_drem"),
         *rls.parameters("two_step_iv_drem"),
         smoothing.parameter("two_step_iv_drem"),
         *parameters("two_step_iv_drem"),
     ),
-    (*rls.STATES, *(state for state in smoothing.STATES if state not in rls.STATES), *STATES),
+    (*rls.STATES, *(state for state in smoothing.STATES if state not in rls.STATES), *step2.STATES, *STATES),
     _equations,
 )

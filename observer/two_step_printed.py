@@ -11,7 +11,7 @@ import casadi as ca
 from bristle.model.variables import Parameter
 from bristle.observer import bastin_gevers, besancon_scalar, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update
-from bristle.observer.two_step import begun, start_parameter, waiting, when
+from bristle.observer.two_step import waiting
 
 SX = ca.SX
 UNIT = besancon_scalar.UNIT  # v in deg/s, and u is scaled alike, so that both entries of the regressor have the same weight
@@ -23,7 +23,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     Source: dixit2008 eq. (3), (6), (23), (24) and section IV-E.
     """
     p = context.p
-    go = begun(context, s)
+    go = p.samples * s.period >= p.step2_start
     scaled = Sample(s.u / UNIT, s.y0 / UNIT, s.y1 / UNIT, s.period)
     alpha2, b = p.step1_alpha2, p.step1_b
     entry = ca.if_else(p.measured_entry > 0, scaled.y0, ca.sign(scaled.y0) * p.vc / UNIT)
@@ -31,11 +31,13 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     step2 = besancon_scalar.step(context, s, alpha2, b)
     estimates, signals = besancon_scalar.published(context, alpha2)
     return Update(
-        next=bastin_gevers.adapt(p, scaled, p.vc / UNIT, entry) | when(go, step2, held),
+        next=bastin_gevers.adapt(p, scaled, p.vc / UNIT, entry)
+        | {name: ca.if_else(go, value, held[name]) for name, value in step2.items()},
         estimates={"alpha2": alpha2, "b": b, "Fc": p.step1_Fc * UNIT} | estimates,
         signals=signals,
         first={"step1_v": s.y1 / UNIT, "x0": s.y1 / UNIT},
-        valid={name: begun(context, s) for name in zhang.ESTIMATES},
+        valid={name: SX(0) for name in ("alpha2", "b", "Fc", *zhang.ESTIMATES)},
+        adapted=SX(0),
     )
 
 
@@ -45,7 +47,7 @@ METHOD = Method(
     "dixit2008 section IV-E",
     "y_v",
     (
-        start_parameter("two_step_printed"),
+        Parameter("two_step_printed.step2_start", "T2", "s", 100.0, 0.0, 1e6, "when step 2 begins", "dixit2008 section IV-E"),
         *bastin_gevers.parameters("two_step_printed", bastin_gevers.PRINTED),
         *zhang.gain_parameters("two_step_printed", besancon_scalar.K0, besancon_scalar.LAM, (0.0, 0.0, 0.0, 0.0)),
         Parameter(

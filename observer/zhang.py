@@ -37,8 +37,8 @@ class Filter:
     k: SX
 
 
-def make_filter(context: EquationContext, k0: SX, lam: SX, period: SX) -> Filter:
-    """Compute the exact filter once, at initialisation, from K0 and lam.
+def make_filter(context: EquationContext, k0: SX, lam: SX, period: SX, name: str = "") -> Filter:
+    """Compute the exact filter once, at initialisation, from K0 and lam; its constants begin with `name`.
 
     The exponential is taken in the scaled coordinates of (6), where the matrix is smallest, with a first-order hold:
     exp of [[A, I, 0], [0, 0, I/Ts], [0, 0, 0]] Ts.
@@ -61,10 +61,10 @@ def make_filter(context: EquationContext, k0: SX, lam: SX, period: SX) -> Filter
     phi, held, ramp = (back @ exponential[:n, i * n : (i + 1) * n] @ into for i in range(3))
     # f = f0 + (f1 - f0) t/Ts
     return Filter(
-        context.constant("phi", phi),
-        context.constant("m0", held - ramp),
-        context.constant("m1", ramp),
-        context.constant("k", lam * scale * k0),
+        context.constant(f"{name}phi", phi),
+        context.constant(f"{name}m0", held - ramp),
+        context.constant(f"{name}m1", ramp),
+        context.constant(f"{name}k", lam * scale * k0),
     )
 
 

@@ -31,7 +31,11 @@ def equations(p: Namespace, v: SX) -> Friction:
         for i in PLACES
     }
     level = sum(p[f"sigma{i}_0"] / p[f"c{i}"] for i in PLACES)
-    return Friction(force=p.J * sum(p[f"w{i}"] for i in PLACES), rates=rates, true={"Fc": level, "width": p.width})
+    return Friction(
+        force=p.J * sum(p[f"w{i}"] for i in PLACES),
+        rates=rates,
+        true={"Fc": level, "width": p.width, **{f"sigma0_{i}": p[f"sigma{i}_0"] for i in PLACES}},
+    )
 
 
 def _parameters() -> tuple[Parameter, ...]:

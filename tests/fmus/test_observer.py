@@ -88,8 +88,8 @@ def test_an_adaptive_state_is_handed_over_to_another_process(tmp_path):
     half, jobs, expected = len(seen) // 2, {}, {}
     for method, choice in fmu.choices("method").items():
         with Slave(fmu, method) as slave:
-            start = f"{method}.step2_start"  # step 2 is to run too
-            slave.initialise({"method": choice} | ({start: H} if fmu.has(start, "parameter") else {}))
+            starts = (f"{method}.longest_wait", f"{method}.step2_start")  # step 2 is to run too
+            slave.initialise({"method": choice} | {start: H for start in starts if fmu.has(start, "parameter")})
             continued().advance(slave, seen, 0, half)
             state = slave.instance.getFMUstate()
             jobs[method] = bytes(slave.instance.serializeFMUstate(state)).hex()

@@ -115,10 +115,10 @@ def earlier(data):
 @pytest.mark.parametrize(
     ("method", "order", "limit", "since", "meanwhile"),
     [
-        ("swapped", 1, 1.0, 1.4, 3.0),
-        ("swapped", 2, 0.05, 1.5, 13.0),
-        ("swapped_position", 1, 8.0, 13.0, 13.0),
-        ("swapped_position", 2, 2.5, 4.0, 4.0),
+        ("swapped", 1, 1.0, 3.7, 3.0),
+        ("swapped", 2, 0.01, 3.7, 1.0),
+        ("swapped_position", 1, 7.0, 8.0, 12.0),
+        ("swapped_position", 2, 2.5, 5.0, 3.0),
     ],
 )
 def test_all_parameters_are_found_at_once(method, order, limit, since, meanwhile):
@@ -130,12 +130,13 @@ def test_all_parameters_are_found_at_once(method, order, limit, since, meanwhile
 
 
 @pytest.mark.parametrize("method", ["swapped", "swapped_position"])
-def test_a_shift_of_the_input_by_one_sample_is_seen(method):
+def test_a_shift_of_the_input_by_one_sample_is_found_as_a_delay(method):
+    """Without it in the regression the same shift costs 50 to 100 %."""
     data = closed_loop("S", 2)
-    right, _ = errors(method, data, SET_S)
-    wrong, _ = errors(method, earlier(data), SET_S)
-    assert np.max(np.abs(wrong[-1])) > 50 * np.max(np.abs(right[-1]))
-    assert np.max(np.abs(wrong[-1])) > 20
+    truth = SET_S | {"delay": 1.0}
+    right, wrong = (observe(method, each, truth)[0][-1] for each in (data, earlier(data)))
+    assert wrong[-1] - right[-1] == pytest.approx(1.0, abs=0.01)
+    np.testing.assert_allclose(wrong[:-1], right[:-1], rtol=2e-3)
 
 
 def given(method: str) -> dict[str, float]:
@@ -157,8 +158,10 @@ def filtered_rows(data, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
     v, u, fine = data["y_v"], data["u"][:-1], 20
     degrees = np.abs(np.rad2deg(v))
     shapes = np.exp(-((degrees / 10) ** 2)), np.exp(-(((degrees - 20) / 20) ** 2))
-    ends = [(x[:-1], x[1:]) for x in (v, shapes[0] * v, shapes[1] * v, np.abs(v) * v)]
-    ends += [(u, u), (u * np.abs(v[:-1]), u * np.abs(v[1:]))]
+    change = np.diff(np.concatenate([[0.0], u]))
+    ends = [(x[:-1], x[1:]) for x in (v, shapes[0] * v, shapes[1] * v, np.abs(v) * v, np.abs(v))]
+    held = (u, change)
+    ends += [(x, x) for x in held] + [(x * np.abs(v[:-1]), x * np.abs(v[1:])) for x in held]
     inside = (np.arange(fine) + 0.5) / fine
 
     def filtered(numerator, pair):
@@ -169,17 +172,17 @@ def filtered_rows(data, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
     low = [filtered([1.0], pair) for pair in ends]
     high = [filtered([1.0, 0.0], pair) for pair in ends]
     second = v[1:] - 2 * cutoff * high[0] - cutoff**2 * low[0]
-    rows = np.column_stack([-high[0], high[4], -low[0], -low[1], -low[2], low[5], -low[3], -high[3] / 2])
-    return rows, second
+    own = [-high[0], high[5], -low[0], -low[1], -low[2], low[7], -low[3], -high[3] / 2]
+    return np.column_stack([*own, low[4], high[6], low[8]]), second
 
 
-def eight(six):
-    alpha2, b, sigma0, sigma1, sigma2, c = six
-    return np.array([alpha2, b, sigma0, sigma1, sigma2, c * b, c * alpha2, c])
+def entries(free):
+    alpha2, b, sigma0, sigma1, sigma2, c, c_load, late = free
+    return np.array([alpha2, b, sigma0, sigma1, sigma2, c * b, c * alpha2, c, c_load, late, c * late])
 
 
 @pytest.mark.parametrize(("plant", "tolerance"), [("S", 2e-5), ("L0", 4e-3)])
-def test_the_recursion_is_the_batch_least_squares_of_six_parameters(plant, tolerance):
+def test_the_recursion_is_the_batch_least_squares_of_eight_parameters(plant, tolerance):
     data, cutoff, memory = closed_loop(plant, 1), 20.0, 100.0
     rows, left = filtered_rows(data, cutoff)
     k = np.arange(1, len(left) + 1)
@@ -187,10 +190,15 @@ def test_the_recursion_is_the_batch_least_squares_of_six_parameters(plant, toler
     rows, left = rows * weight[:, None], left * weight
     scale = np.linalg.norm(rows, axis=0)
     linear = np.linalg.lstsq(rows / scale, left, rcond=None)[0] / scale
-    start = linear[[0, 1, 2, 3, 4, 7]]
-    best = least_squares(lambda x: rows @ eight(x * start) - left, np.ones(6), x_scale="jac", xtol=1e-12, ftol=1e-15).x * start
+    start = linear[[0, 1, 2, 3, 4, 7, 8, 9]]
+    size = np.array([1, 1, 100, 100, 100, 100, 10, 1])
+
+    def residual(x):
+        return rows @ entries(start + x * size) - left
+
+    best = start + size * least_squares(residual, np.zeros(8), x_scale="jac", xtol=1e-12, ftol=1e-15).x
     found, _ = observe("swapped", data, SIX)
-    np.testing.assert_allclose(found[-1], best, rtol=tolerance)  # one step of Gauss-Newton against all
+    np.testing.assert_allclose(found[-1], best[:6], rtol=tolerance)  # one step of Gauss-Newton against all
     if plant == "L0":  # where the model is not the plant's, the two entries that are products keep alpha2 in place
         assert abs(linear[0] / 2.0 - 1) > 0.03
         assert abs(found[-1, 0] / 2.0 - 1) < 0.01
@@ -306,7 +314,9 @@ def test_a_piecewise_linear_input_is_differentiated_exactly():
 def test_what_is_for_a_piecewise_linear_input_fails_with_a_held_one_and_the_other_way_round():
     assert np.max(late_error("approach_one_smooth", closed_loop("S", 1))) > 20
     assert np.max(late_error("approach_one_smooth", earlier(ramps()))) > 20
-    assert np.max(late_error("swapped", ramps())) > 8
+    estimates, _ = observe("swapped", ramps(), ("delay",))  # which takes a ramp for a held input that comes half a sample early
+    assert estimates[-1, 0] == pytest.approx(-0.5, abs=0.02)
+    assert np.max(late_error("swapped", ramps())) < 0.5
 
 
 # -- the original LuGre law --------------------------------------------------------------------------------------------------
@@ -483,4 +493,4 @@ def test_nothing_makes_an_estimate_infinite(method, name):
 
 
 def test_entries_and_rows_agree_in_number():
-    assert len(eight(np.ones(6))) == swapping.ENTRY_COUNT == swapping.ROW - 1
+    assert len(entries(np.ones(8))) == swapping.ENTRY_COUNT

@@ -282,7 +282,7 @@ def test_constant_noise_and_the_papers_entries_are_slower_and_less_exact():
 def test_elements_side_by_side_are_found_where_their_distances_are_known():
     data = record("parallel", 60.0)
     c = {"c1": 50.0, "c2": 150.0, "c3": 450.0}
-    names = [f"parallel_elements.theta{i}" for i in range(11)]
+    names = [f"parallel_elements.fit{i}" for i in range(11)]
     rows = observed("parallel_elements", data, [*names, "Fc_hat"], **c)[:, 6:]
     levels = np.array([4.0, 16 / 3, 2.0])
     true = [2.0, 6.5, *np.concatenate([share * c[f"c{i}"] * levels for i, share in enumerate((0.4, 0.3, 0.3), start=1)])]

@@ -18,7 +18,10 @@ from bristle.observer import methods, observer_program
 STEP = 1e-3
 COUNT = 2 * np.pi / 40000  # rad
 TRUE = {"sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0}
-KNOWN = ("besancon", "martinez_poznyak", "drem", "martinez_poznyak_position", "drem_position")
+KNOWN = (
+    "besancon", "martinez_poznyak", "drem", "swapped_known", "martinez_poznyak_position", "drem_position", "swapped_position",
+    "two_step_martinez", "two_step_drem", "joint_ukf",
+)  # fmt: skip
 
 
 @cache
@@ -49,7 +52,15 @@ def worst(estimates: dict[str, float]) -> float:
     return max(abs(100 * (estimates[name] / true - 1)) for name, true in TRUE.items())
 
 
-LIMIT = {"besancon": 12.0, "martinez_poznyak_position": 4.0, "drem_position": 8.0}
+LIMIT = {
+    "besancon": 12.0,
+    "martinez_poznyak_position": 4.0,
+    "drem_position": 8.0,
+    "swapped_position": 4.0,
+    "two_step_martinez": 4.0,
+    "two_step_drem": 8.0,
+    "joint_ukf": 3.0,
+}
 
 
 @pytest.mark.parametrize("method", KNOWN)

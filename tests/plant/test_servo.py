@@ -181,6 +181,7 @@ def test_true_parameters_are_normalised_and_what_is_missing_is_not_valid(name):
     values = Native(program, {"J": J, "b": 0.01, "a2": 0.003, **OWN[name]}).values
     expected = {"alpha2": 1.5, "b": 5.0, "load": 0.0, "delay": 0.0, **EXPECTED[name]}
     names = {"alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c", "tau", "vc", "a0", "a1", "v0", "load", "delay", "width"}
+    names |= {"sigma0_1", "sigma0_2", "sigma0_3"}
     assert set(OBSERVED) == names
     for parameter in names - {"vc"}:  # which follows from the others; see below
         value = values[program.index[f"true.{parameter}"]]

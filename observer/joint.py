@@ -1,0 +1,157 @@
+"""What the joint filters with constant noise share: step 1 before them, their covariance as standard deviations, and validity.
+
+Least squares at high speed give alpha2, b, Fc and the load torque; when these are known well enough the filter starts with them.
+What it claims to know is its covariance, enlarged as much as its estimates move more than that allows (consistency.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from bristle.model.basis import width_parameter
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import consistency, kalman, rls, smoothing, step1, step2, swapping
+from bristle.observer.kalman import MOTION_STATES
+from bristle.observer.method import EquationContext, Sample, Update, stack
+
+SX = ca.SX
+NOISE_CITATION = "jazwinski1970 chapter 8"
+SENSOR_TIME = (0.3, 20.0)  # s, over which the innovations are compared with the sensor: at a start, and late
+LARGEST_RATIO = 100.0  # most that one squared innovation counts over the variance of the sensor
+PREFIX = "joint_"  # of what consistency.py keeps of the filter, beside what it keeps of step 1
+JOINT_START_SHARE = 0.05  # standard deviation of alpha2 and b over themselves at which the filter begins: it improves them
+JUDGED_FROM = 5.0  # s after a start from which estimates may be valid
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A joint filter: its entries behind (theta, v, w), what they mean, where they start, and their bounds.
+
+    `start` returns entries and standard deviations, `low` and `high` the bounds of some of them by place in the vector.
+    """
+
+    names: tuple[str, ...]
+    servo: Callable[[Namespace, SX], kalman.Servo]
+    estimates: Callable[[SX], dict[str, SX]]
+    start: Callable[[Namespace, Mapping[str, SX]], tuple[SX, SX]]
+    predict: Callable[[Namespace, SX, SX, Sample], tuple[SX, SX]]
+    bounds: Callable[[Namespace], tuple[dict[int, SX], dict[int, SX]]]
+    noise: Callable[[Namespace, SX], SX]
+    companion: bool = False  # whether the estimates are compared with the least squares of step 2 too
+
+    @property
+    def order(self) -> int:
+        """Length of the vector."""
+        return MOTION_STATES + len(self.names)
+
+
+def update(context: EquationContext, s: Sample, f: Filter) -> Update:
+    """Advance step 1 and, once it has converged, the filter.
+
+    Source: jazwinski1970 chapter 8; ljung1979 (parameters as states).
+    """
+    p, h = context.p, s.period
+    fields = rls.published(p, h)
+    go = step2.begun(p, s, fields, JOINT_START_SHARE)
+    runs = p.step2_runs > 0
+    z, covariance = f.predict(p, *kalman.read(p, f.order), s)
+    rates = ca.vertcat(0, p.noise_v, p.noise_w, f.noise(p, stack(p, "spread", len(f.names))))
+    quantum = kalman.rounding(p.resolution)
+    error = s.y1 + p.resolution / 2 - z[0]
+    before = kalman.noisy(covariance, ca.vertsplit(rates), h)
+    z, covariance, size = kalman.correct(z, before, error, quantum, p.gate)
+    lost = before[MOTION_STATES:, 0] ** 2 / ((before[0, 0] + quantum) * ca.fmax(1, size / p.gate**2))
+    z = kalman.bounded(z, covariance, *f.bounds(p))
+    entries, spread = f.start(p, fields["estimates"])
+    waiting = ca.vertcat(s.y1 + p.resolution / 2, p.last_v, 0, entries)
+    motion = ca.vertcat(p.resolution, 0.5 * ca.fabs(p.last_v) + 1, ca.fabs(fields["estimates"]["Fc"]) + 1)
+    first, last = SENSOR_TIME
+    share = h / (first + ca.fmin(p.age, last))
+    ratio = ca.fmin(error**2 / quantum, LARGEST_RATIO)
+    beside: dict[str, SX] = {}
+    if f.companion:
+        velocity, beside = smoothing.smooth(p, s)
+        beside |= step2.observe(context, velocity, step2.known(fields), step2.from_position(p, s))
+    return Update(
+        next={
+            **rls.fit(p, s),
+            **beside,
+            **kalman.write(ca.if_else(runs, z, waiting), ca.if_else(runs, covariance, ca.diag(ca.vertcat(motion, spread) ** 2))),
+            **consistency.blocks(p, z[MOTION_STATES:], lost, (p.age, h, runs), prefix=PREFIX),
+            **{f"spread{i}": ca.if_else(runs, p[f"spread{i}"], spread[i]) for i in range(len(f.names))},
+            "age": ca.if_else(runs, p.age + h, 0),
+            "innovation_sensor": ca.if_else(runs, p.innovation_sensor + share * (ratio - p.innovation_sensor), 1),
+            "step2_runs": go,
+        },
+        **_published(p, s, f, fields),
+        signals=kalman.signals(kalman.read(p, f.order)[0], f.servo(p, kalman.read(p, f.order)[0][MOTION_STATES:])),
+        first={"joint0": s.y1},
+    )
+
+
+def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of an `Update`; an estimate is valid while the innovations are about what the sensor explains.
+
+    With a companion its doubts are added to those of the filter.
+    Source: jazwinski1970 chapter 8; mehra1970.
+    """
+    z, covariance = kalman.read(p, f.order)
+    n = len(f.names)
+    factors = ca.diag(consistency.inflation(p, n, PREFIX))
+    spread = factors @ covariance[MOTION_STATES:, MOTION_STATES:] @ factors
+    symbol = SX.sym("entries", n)
+    found = f.estimates(symbol)
+    values = ca.vertcat(*found.values())
+    values, slopes = ca.substitute([values, ca.jacobian(values, symbol)], [symbol], [z[MOTION_STATES:]])
+    names = list(found)
+    variances = [ca.fmax(ca.dot(slopes[i, :].T, spread @ slopes[i, :].T), 0) for i in range(len(names))]
+    estimates = {name: values[i] for i, name in enumerate(names)}
+    sd = {name: ca.fmin(ca.sqrt(variances[i]), swapping.LARGEST_ENTRY) for i, name in enumerate(names)}
+    sound = ca.logic_and(p.age > JUDGED_FROM, p.innovation_sensor < p.innovation_limit)
+    if f.companion:
+        judged = swapping.worth(p, step2.COMPANION, {n: x for n, x in estimates.items() if n != "tau"}, step2.from_position(p, s))
+        sd |= {name: ca.sqrt(sd[name] ** 2 + judged.sd[name] ** 2) for name in names if name in judged.limits}
+        sound = ca.logic_and(sound, judged.possible)
+    limits = {name: step1.VALID_SHARE * swapping.size_of(estimates, name) for name in names}
+    return {
+        "estimates": estimates,
+        "sd": sd,
+        "valid": {name: ca.logic_and(sound, sd[name] < limit) for name, limit in limits.items()},
+        "adapted": ca.logic_or(p.age > 0, fields["adapted"]),
+        "innovation": p.innovation_sensor,
+    }
+
+
+def parameters(prefix: str, noise_v: float, noise_w: float, limit: float) -> tuple[Parameter, ...]:
+    """Declare sensor, step 1, noise and the width of the basis functions under a method's name."""
+    most = "mean squared innovation over the variance of the sensor up to which estimates are valid"
+    share = "process noise of a parameter over its sd at the start"
+    return (
+        *kalman.parameters(prefix),
+        *rls.parameters(prefix),
+        width_parameter(prefix),
+        step2.start_parameter(prefix),
+        Parameter(f"{prefix}.noise_v", "q_v", "rad2/s3", noise_v, 0.0, 1e9, "process noise of v", NOISE_CITATION),
+        Parameter(f"{prefix}.noise_w", "q_w", "rad2/s5", noise_w, 0.0, 1e9, "process noise of w", NOISE_CITATION),
+        Parameter(f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, share, NOISE_CITATION),
+        Parameter(f"{prefix}.innovation_limit", "r_v", "1", limit, 1.0, 1e12, most, "mehra1970"),
+    )
+
+
+def states(f: Filter) -> tuple[State, ...]:
+    """Declare step 1, vector and covariance, and how far the filter can be trusted."""
+    n = len(f.names)
+    step2_states = (*(state for state in smoothing.STATES if state not in rls.STATES), *step2.STATES)
+    return (
+        *rls.STATES,
+        *kalman.states(f"theta, v, w, {', '.join(f.names)}", "covariance of the vector", f.order),
+        *consistency.states(n, PREFIX),
+        *(State(f"spread{i}", "1", f"standard deviation of {name} at the start") for i, name in enumerate(f.names)),
+        State("age", "s", "time since the filter began"),
+        State("innovation_sensor", "1", "mean squared innovation over the variance of the sensor, of late", initial=1.0),
+        *(step2_states if f.companion else (State("step2_runs", "1", "1 once the filter has begun"),)),
+    )

@@ -1,0 +1,100 @@
+"""What all methods of Approach II share beside their laws: when step 2 begins, and what its estimates are worth.
+
+Beside the method runs filtered Approach I (swapping.py) on the same velocity and input, with alpha2 and b as step 1 knows them: not
+exactly, but with a standard deviation. So it knows what an error of alpha2 or b, a load torque and a delay do to sigma_i and c, and
+the distance of a method's estimates from it shows what they do to the method.
+Source: dixit2008 section III, Approach II; ljung1999 section 11.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from bristle.model.variables import Namespace, Parameter, State
+from bristle.observer import smoothing, step1, swapping
+from bristle.observer.method import EquationContext, Sample
+
+SX = ca.SX
+COMPANION = swapping.companion("step2_")
+CORNER = 15.0  # rad/s, of the filter of the companion
+START_SHARE = 0.01  # standard deviation of alpha2 and b over themselves at which step 1 has converged
+VELOCITY_NOISE = 1e-3  # rad/s, standard deviation of a measured velocity
+COMPANION_STATES = (*swapping.FILTER_STATES, *COMPANION.states, State("step2_u", "V", "input before"))
+STATES = (*COMPANION_STATES, State("step2_runs", "1", "1 once step 2 has begun"))
+
+
+def start_parameter(prefix: str) -> Parameter:
+    """Declare after which time step 2 begins at the latest."""
+    text = "step 2 begins when step 1 has converged, and then at the latest"
+    return Parameter(f"{prefix}.longest_wait", "T2", "s", 100.0, 0.0, 1e6, text, "dixit2008 section IV-E")
+
+
+def begun(p: Namespace, s: Sample, step1_fields: Mapping[str, Any], share: float = START_SHARE) -> SX:
+    """Return 1 from the start of step 2 on: alpha2 and b are known to this share, or it has been waited for long enough."""
+    known = step1_fields["adapted"]
+    for name in ("alpha2", "b"):
+        size = ca.fabs(step1_fields["estimates"][name])
+        known = ca.logic_and(known, step1_fields["sd"][name] < share * size)
+    waited = p.samples * s.period >= p.longest_wait
+    return SX(ca.logic_or(p.step2_runs > 0, ca.logic_or(known, waited)))
+
+
+def when(go: SX, update: dict[str, SX], rest: Mapping[str, SX]) -> dict[str, SX]:
+    """Return the update while step 2 runs and `rest` before, together with whether it runs."""
+    return {name: ca.if_else(go, value, rest[name]) for name, value in update.items()} | {"step2_runs": go}
+
+
+def known(fields: Mapping[str, Any]) -> swapping.Prior:
+    """Return what step 1 knows of alpha2 and b."""
+    found, sd = fields["estimates"], fields["sd"]
+    return swapping.Prior(found["alpha2"], found["b"], (sd["alpha2"], sd["b"]))
+
+
+def from_velocity(s: Sample, noise: SX | float = VELOCITY_NOISE) -> swapping.Settings:
+    """Return the settings of the companion for a measured velocity with that standard deviation."""
+    return swapping.Settings(SX(CORNER), SX(step1.MEMORY), SX(noise) ** 2, s.period)
+
+
+def from_position(p: Namespace, s: Sample) -> swapping.Settings:
+    """Return the settings of the companion for a velocity that is smoothed from positions."""
+    noise = smoothing.rounding_noise(p.resolution, p.smoothing, s.period)
+    return swapping.Settings(SX(CORNER), SX(step1.MEMORY), noise, smoothing.lag(p, s))
+
+
+def observe(context: EquationContext, s: Sample, prior: swapping.Prior | None, given: swapping.Settings) -> dict[str, SX]:
+    """Return the next states of the companion for a sample of velocity."""
+    p = context.p
+    change = s.u - p.step2_u
+    ends = (swapping.signals(s.u, change, s.y0, p.width), swapping.signals(s.u, change, s.y1, p.width))
+    return swapping.observe(context, s, ends, given, COMPANION, prior) | {"step2_u": s.u}
+
+
+def published(p: Namespace, step1_fields: Mapping[str, Any], own: Mapping[str, SX], given: swapping.Settings) -> dict[str, Any]:
+    """Return the fields of an `Update`: those of step 1, and the method's own estimates of step 2.
+
+    A load torque is that of step 2, which sees it in all motion.
+    """
+    later = swapping.judge(p, COMPANION, swapping.worth(p, COMPANION, own, given), own)
+    begun = p.step2_runs > 0
+    return {
+        "estimates": {**step1_fields["estimates"], **own},
+        "sd": {**step1_fields["sd"], **later["sd"]},
+        "valid": {**step1_fields["valid"], **{name: ca.logic_and(begun, each) for name, each in later["valid"].items()}},
+        "adapted": step1_fields["adapted"],
+        "innovation": ca.if_else(begun, later["innovation"], step1_fields["innovation"]),
+    }
+
+
+def alone(
+    context: EquationContext, s: Sample, own: Mapping[str, SX], given: swapping.Settings
+) -> tuple[dict[str, SX], dict[str, Any]]:
+    """Return (next states of the companion, fields of an `Update`) of a method that is given alpha2 and b.
+
+    The companion is not given them, so that it shows what wrong ones do to the method.
+    """
+    p = context.p
+    judged = swapping.judge(p, COMPANION, swapping.worth(p, COMPANION, own, given), own)
+    return observe(context, s, None, given), {"estimates": dict(own), **judged}
