@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from bristle.model.native import Native
 from bristle.observer import observer_program
@@ -18,13 +19,14 @@ UNIT = 1e-3  # m; the model's "rad" is a millimetre here
 
 
 def found(u, theta, v):
-    """Return mass, damping, distance and friction as the observer says in the end."""
+    """Return (mass, damping, distance and friction, delay in samples, whether mass and damping are valid) in the end."""
     instance = Native(observer_program("swapped"), {"sample_time": bodies.SET_Z_STEP, "swapped.cutoff": 60.0})
     inputs = {"u": u, "y_theta": theta, "y_v": v}
-    out, _ = instance.run(bodies.SET_Z_STEP, inputs, [f"{name}_hat" for name in ("b", "alpha2", "sigma0", "c")])
-    b, alpha2, sigma0, c = out[-1]
+    names = [*(f"{name}_hat" for name in ("b", "alpha2", "sigma0", "c", "delay")), "b_valid", "alpha2_valid"]
+    out, _ = instance.run(bodies.SET_Z_STEP, inputs, names)
+    b, alpha2, sigma0, c, delay, *valid = out[-1]
     mass = 1 / (b * UNIT)
-    return np.array([mass, alpha2 * mass, UNIT / c, sigma0 / c * UNIT * mass])
+    return np.array([mass, alpha2 * mass, UNIT / c, sigma0 / c * UNIT * mass]), delay, valid == [1.0, 1.0]
 
 
 def test_an_observer_finds_the_printed_values():
@@ -32,6 +34,14 @@ def test_an_observer_finds_the_printed_values():
     data = bodies.record(1)
     u, theta, v = data["u"], data["y_theta"], data["y_v"]
     true = np.array([MASS, DAMPING, DISTANCE, FRICTION])
-    np.testing.assert_allclose(found(u, theta, v), true, rtol=0.005)
-    late = np.concatenate([u[1:], u[-1:]])  # shifted by a sample, the same record says something else
-    assert np.max(np.abs(found(late, theta, v) / true - 1)) > 0.05
+    values, delay, valid = found(u, theta, v)
+    np.testing.assert_allclose(values, true, rtol=0.01)
+    assert delay == pytest.approx(0.0, abs=0.01)
+    assert valid
+    values, delay, valid = found(np.concatenate([u[1:], u[-1:]]), theta, v)  # a measurement that comes a sample late
+    np.testing.assert_allclose(values, true, rtol=0.01)
+    assert delay == pytest.approx(1.0, abs=0.01)
+    assert valid
+    values, _, valid = found(np.concatenate([u[:1], u[:-1]]), theta, v)  # one before its cause is refused
+    assert np.max(np.abs(values / true - 1)) > 0.1
+    assert not valid
