@@ -7,6 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from bristle.common.errors import BristleError
@@ -46,14 +47,31 @@ def digest(*parts: str | bytes) -> str:
 
 
 def cached(name: str, make: Callable[[Path], None]) -> Path:
-    """Return the cached file `name`, made by `make(path)` if it is missing; other processes see a complete file or none."""
+    """Return the cached file `name`, made by `make(path)` if it is missing.
+
+    Other processes see a complete file or none; of those that miss the same file at once, one makes it and the others wait.
+    """
     target = cache_folder() / name
     try:
         if not target.exists():
-            with tempfile.TemporaryDirectory(dir=target.parent, prefix=".making-") as folder:
-                fresh = Path(folder) / target.name
-                make(fresh)
-                os.replace(fresh, target)
+            with _alone(target):
+                if not target.exists():
+                    _make(target, make)
     except OSError as error:
         raise _unusable(target.parent, error) from None
     return target
+
+
+def _alone(target: Path) -> AbstractContextManager[object]:
+    from filelock import FileLock  # only if something is missing: a run from the cache starts sooner
+
+    folder = target.parent / ".locks"
+    folder.mkdir(exist_ok=True)
+    return FileLock(folder / f"{target.name}.lock")
+
+
+def _make(target: Path, make: Callable[[Path], None]) -> None:
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".making-") as folder:
+        fresh = Path(folder) / target.name
+        make(fresh)
+        os.replace(fresh, target)

@@ -15,7 +15,28 @@ __all__ = ["Reproduction", "Result"]
 
 
 @dataclass(frozen=True, repr=False)
-class Result:
+class _Answer:
+    data: Mapping[str, Any] = field(compare=False)
+    folder: Path
+
+    @property
+    def verdict(self) -> str:
+        """``"pass"`` if all checks pass and every run reached the end that is expected of it, else ``"fail"``."""
+        return str(self.data["verdict"])
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is pass."""
+        return self.verdict == "pass"
+
+    @property
+    def report(self) -> Path:
+        """The report, one self-contained HTML file."""
+        return self.folder / "report.html"
+
+
+@dataclass(frozen=True, repr=False)
+class Result(_Answer):
     """The result of a scenario: `print` shows it as a table.
 
     Attributes
@@ -26,23 +47,10 @@ class Result:
         The result folder, with result.json, signals.csv, report.html and the figures.
     """
 
-    data: Mapping[str, Any] = field(compare=False)
-    folder: Path
-
     @property
     def scenario(self) -> str:
         """Name of the scenario."""
         return str(self.data["scenario"])
-
-    @property
-    def verdict(self) -> str:
-        """``"pass"`` if all checks pass and the run reached its end, else ``"fail"``."""
-        return str(self.data["verdict"])
-
-    @property
-    def passed(self) -> bool:
-        """Whether the verdict is pass."""
-        return self.verdict == "pass"
 
     @property
     def estimates(self) -> Mapping[str, Mapping[str, Any]]:
@@ -56,11 +64,6 @@ class Result:
         """Of each check: name, value, limit, and whether it passes."""
         found: Sequence[Mapping[str, Any]] = self.data["checks"]
         return found
-
-    @property
-    def report(self) -> Path:
-        """The report, one self-contained HTML file."""
-        return self.folder / "report.html"
 
     def signals(self) -> dict[str, NDArray[np.float64]]:
         """Read the signals of signals.csv.
@@ -96,7 +99,7 @@ class Result:
 
 
 @dataclass(frozen=True, repr=False)
-class Reproduction:
+class Reproduction(_Answer):
     """The paper's figures and numbers beside ours: `print` shows eq. (25) of all models.
 
     Attributes
@@ -106,19 +109,6 @@ class Reproduction:
     folder : pathlib.Path
         The folder, with reproduce.json, report.html and the figures.
     """
-
-    data: Mapping[str, Any] = field(compare=False)
-    folder: Path
-
-    @property
-    def verdict(self) -> str:
-        """``"pass"`` if all runs are as they are expected to be, else ``"fail"``."""
-        return str(self.data["verdict"])
-
-    @property
-    def passed(self) -> bool:
-        """Whether the verdict is pass."""
-        return self.verdict == "pass"
 
     @property
     def estimates(self) -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
@@ -131,11 +121,6 @@ class Reproduction:
         """Eq. (25) of all models [%], an entry for each plant and order of the reference; None where there is none."""
         found: Sequence[Mapping[str, Any]] = self.data["eq25"]
         return found
-
-    @property
-    def report(self) -> Path:
-        """The page, one self-contained HTML file."""
-        return self.folder / "report.html"
 
     def __repr__(self) -> str:
         return f"<Reproduction: {self.verdict}, in {str(self.folder)!r}>"

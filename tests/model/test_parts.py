@@ -3,6 +3,8 @@
 import ctypes
 import math
 import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
@@ -118,10 +120,25 @@ def test_a_failed_build_leaves_nothing_in_the_cache(tmp_path, monkeypatch):
 
     with pytest.raises(BristleError, match="no more"):
         cache.cached("thing", broken)
-    assert list(tmp_path.iterdir()) == []
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.suffix != ".lock"]
     path = cache.cached("thing", lambda p: p.write_text("whole"))
     assert path.read_text() == "whole"
     assert cache.cached("thing", broken) == path  # not made again
+
+
+def test_of_those_that_miss_the_same_file_at_once_one_makes_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path))
+    made = []
+
+    def slowly(path):
+        made.append(path)
+        time.sleep(0.2)
+        path.write_text("whole")
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: cache.cached("thing", slowly).read_text(), range(4)))
+    assert found == ["whole"] * 4
+    assert len(made) == 1
 
 
 def test_what_a_cached_file_lacks_is_named(tmp_path, monkeypatch):
