@@ -32,10 +32,21 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     session.config.stash[_status] = int(exitstatus)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that have most slow tests: a file goes to one worker, and none is left with a long one at the end."""
+    """Begin with the files that have most slow tests, then most tests, and mark as slow what `sampled` leaves out of a quick run.
+
+    A file goes to one worker: none is left with a long one at the end.
+    """
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-    items.sort(key=lambda item: -slow[item.path])
+    number = Counter(item.path for item in items)
+    items.sort(key=lambda item: (-slow[item.path], -number[item.path]))
+    seen: Counter[str] = Counter()
+    for item in items:
+        name, sampled = item.nodeid.partition("[")[0], item.get_closest_marker("sampled")
+        if sampled and seen[name] % sampled.args[0]:
+            item.add_marker(pytest.mark.slow)
+        seen[name] += 1
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -65,6 +76,12 @@ def case(tmp_path: Path) -> Path:
     path = tmp_path / "case.toml"
     path.write_text(SCENARIO, encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the figures out of the result folders of runs: drawing takes longer than a short run, and other tests look at them."""
+    monkeypatch.setattr("bristle.harness.figures.draw", lambda pictures: {})
 
 
 @pytest.fixture

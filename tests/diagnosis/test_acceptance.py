@@ -370,6 +370,7 @@ def test_an_effect_may_be_given_start_values_and_all_effort(case):
     assert propose_effect(context, ["compliance"], None, QUICK).outcome == "added"
 
 
+@pytest.mark.slow
 def test_a_contact_is_found_because_its_load_is_initialised(case):
     """From start values that are far off, in few steps, nearly as well as from the truth: unless the load is placed, 15 % worse."""
     truth = {"share": 0.3, "play": 0.04, "stiffness": 350.0, "dissipation": 2.3}

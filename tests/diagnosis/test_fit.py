@@ -37,6 +37,7 @@ def joined(case, name):
     return found
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(HIDDEN))
 def test_starts_from_data_lead_to_the_truth(case, name):
     """Of the effect and of the model, from nominal values that are 20 % off, on records of a simulation ten times finer."""

@@ -34,6 +34,7 @@ def velocities(measured):
     return {name: [(t, u, v) for t, u, _, v in [measured(name, 1)]] for name in effects()}
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(effects()))
 @pytest.mark.parametrize("off", OFF)
 def test_plausible_data_are_not_reported(name, off, positions, velocities, tree):
@@ -63,6 +64,7 @@ def test_each_mistake_is_reported(name, positions, velocities, tree):
     assert "output looks like a velocity, not a position" in line
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(effects()))
 def test_a_mistake_in_one_of_two_records_is_said_of_that_one(name, positions, measured, tree):
     model, [(t, u, y)] = declared(tree), positions[name]

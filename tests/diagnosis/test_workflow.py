@@ -202,6 +202,7 @@ def test_a_linear_axis_has_nothing_that_turns(measured: Callable[..., Any], tree
     assert not any("in a turn" in view.label for view in found.where)
 
 
+@pytest.mark.slow
 def test_a_model_that_diverges_is_compared_over_shorter_segments_if_there_are_any(
     measured: Callable[..., Any], model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -233,6 +233,7 @@ def test_absurd_estimates_leave_every_output_finite():
             assert np.isfinite(found).all()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("wrong", [{"b": 2.0}, {"b": 20.0}, {"Fc": 20.0}, {"Fc": -4.0}, {"alpha2": 40.0}, {"load": 5.0}])
 def test_wrong_estimates_are_not_worse_than_none(wrong):
     """What does not make tracking better is taken back, though the estimates are called valid."""

@@ -35,6 +35,7 @@ def identity(case):
     return "-".join([case[0], *map(str, case[1].values())]) if isinstance(case, tuple) else None
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", ALL, ids=identity)
 def test_the_validator_finds_nothing(built, case):
     assert validate_fmu(str(built(case[0], **case[1]).path)) == []
@@ -194,7 +195,9 @@ def test_outputs_depend_on_no_more_inputs_than_declared(built, Raw, case):
         assert found["F"] == declared["F"] & set(inputs) != set()
 
 
-@pytest.mark.parametrize("case", [*WHOLE, ("plant", {"law": "lugre"})], ids=identity)
+@pytest.mark.parametrize(
+    "case", [*WHOLE[:2], pytest.param(WHOLE[2], marks=pytest.mark.slow), ("plant", {"law": "lugre"})], ids=identity
+)
 def test_initial_values_depend_on_no_more_than_declared(built, Raw, case):
     fmu = built(case[0], **case[1])
     raw = Raw(fmu.info)

@@ -61,6 +61,7 @@ def plants():
     return base, [replace(base, values=base.values | {name: value}) for name, value in moved.items()]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_no_path_leads_from_a_hidden_state_to_the_observer(method):
     """The plant moves otherwise, u and y stay: to the last bit, so do the estimates."""

@@ -20,7 +20,14 @@ from bristle.model.compiler import find_compiler
 NATIVE = [("plant", 2), ("plant", 3), ("controller", 2), ("observer", 3)]
 
 
-@pytest.mark.parametrize("options", [{}, {"fmi": 3}, {"law": "lugre"}, {"kind": "python"}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param({}, marks=pytest.mark.slow), pytest.param({"fmi": 3}, marks=pytest.mark.slow),
+        {"law": "lugre"}, {"law": "coulomb", "fmi": 3}, {"kind": "python"},
+    ],
+    ids=str,
+)  # fmt: skip
 def test_building_twice_gives_the_same_bytes(tmp_path, options):
     """In two folders and two processes, whose hashes are seeded differently, with nothing in the cache."""
     results = []
@@ -63,7 +70,9 @@ def test_no_trace_of_the_building_machine(built, what, fmi):
                 assert trace.encode() not in content, (path, trace)
 
 
-@pytest.mark.parametrize(("what", "fmi"), [*NATIVE, ("lean", 2), ("lean", 3)])
+@pytest.mark.parametrize(
+    ("what", "fmi"), [*NATIVE[:-1], pytest.param(*NATIVE[-1], marks=pytest.mark.slow), ("lean", 2), ("lean", 3)]
+)
 def test_sources_compile_from_a_clean_extract(built, what, fmi, tmp_path):
     """With nothing but the compiler and the folder sources/, and every function of the standard comes out of it."""
     fmu = built("plant", law="modified", fmi=fmi) if what == "lean" else built(what, fmi=fmi)

@@ -32,6 +32,7 @@ def signals(path: Path, fmi: int = 2, kind: Kind = "native", overrides: tuple[st
     return simulate(identification(prepare(loaded, find_fmus(loaded, fmi, kind)))).values
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_all_kinds_of_fmu_give_the_same_digits(base: str, scenario_file: Maker) -> None:
     path = scenario_file(with_effects(base, "cogging", "backlash", "input_noise", "measurement_delay").replace("2 s", "0.5 s"))
     native = signals(path)
@@ -85,6 +86,7 @@ def test_a_smooth_law_with_effects_has_an_encoder(base: str, scenario_file: Make
     assert np.ptp(simulate(identification(setup))["plant", "theta_enc"]) > 0.1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_parameter_without_a_true_value_has_no_error(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path = scenario_file(with_effects(base, "friction_drift").replace("2 s", "6 s"))
     estimates = run(path, tmp_path / "out", Options()).result["estimates"]

@@ -84,6 +84,7 @@ def least_squares(t: NDArray[np.float64], force: NDArray[np.float64], x: NDArray
     return [mass, viscous / mass, coulomb, offset]
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("method", METHODS)
 def test_emps_in_newton_and_metres(method: str, data: ModuleType, tmp_path: Path) -> None:
     """Near least squares where it is called valid, with the offset of 3 N in the force and without it."""
@@ -103,6 +104,8 @@ def test_emps_in_newton_and_metres(method: str, data: ModuleType, tmp_path: Path
                 assert found[parameter]["final"] == pytest.approx(value, rel=0.15), parameter
 
 
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("records", "rig"), [("xl330", ("voltage", "V", "rad")), ("go1", ("torque", "N.m", "rad"))], ids=["xl330", "go1"]

@@ -147,6 +147,7 @@ def same_answers(one: Run, other: Run, position: float = 1.0, drive: float = 1.0
                 assert twin[key] == pytest.approx(worth.get(name, 1.0) * each[key], rel=1e-5), (name, key)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("method", ["rls", "self_starting_ekf"])
 def test_answers_do_not_depend_on_the_units_of_the_file(method: str, axis: dict[str, Array], tmp_path: Path) -> None:
     plain = run(scenario(tmp_path, axis, tables(method=method)), tmp_path / "out")
@@ -160,6 +161,7 @@ def test_answers_do_not_depend_on_the_units_of_the_file(method: str, axis: dict[
         assert plain.result["estimates"][name]["final"] == pytest.approx(value, rel=0.1), name
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_estimates_signals_and_csv_are_in_the_units_of_the_rig(axis: dict[str, Array], tmp_path: Path) -> None:
     done = run(scenario(tmp_path, axis, tables(method="self_starting_ekf")), tmp_path / "out", Options(full=True))
     assert {name: done.result["estimates"][name]["unit"] for name in ("b", "c", "Fc", "alpha2")} == {
@@ -232,6 +234,7 @@ def test_no_step_is_told_where_no_position_is_measured(axis: dict[str, Array], t
 # -- sampling --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_last_sample_counts(axis: dict[str, Array], tmp_path: Path) -> None:
     """A position that jumps in the last sample reaches the estimate of the velocity there, which is a difference."""
     jump = axis["y"].copy()
@@ -258,6 +261,7 @@ def test_a_period_at_which_observers_are_not_tried_is_noted(h: float, noted: boo
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("every", [5, 20])
 def test_slow_sampling_gives_the_same_parameters(every: int, axis: dict[str, Array], tmp_path: Path) -> None:
     """An input that is held longer than a sample would be seen late; this one is averaged over each, as a drive's log may be."""
@@ -290,6 +294,7 @@ def test_a_record_that_teaches_nothing_fails_and_says_why(axis: dict[str, Array]
     assert "has not adapted since the start" in (done.folder / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_innovations_beyond_the_claim_fail(axis: dict[str, Array], tmp_path: Path) -> None:
     """A sensor that is called a thousand times finer than it is makes every innovation too large."""
     text = tables(method="self_starting_ekf", more="resolution = 1e-9\n")
@@ -326,6 +331,7 @@ def test_the_report_of_a_record_speaks_of_no_truth(axis: dict[str, Array], tmp_p
     assert "m/(s²·N)" in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_two_runs_differ_in_nothing_but_date_and_time_taken(axis: dict[str, Array], tmp_path: Path) -> None:
     path = scenario(tmp_path, axis, tables(method="self_starting_ekf"))
     texts = []

@@ -70,6 +70,7 @@ max = 50
     return run(path, folder / "out")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> None:
     """The numbers of result.json, with names of parameters, states and fitted models generalised, are those of the table."""
     result = json.loads((finished.folder / "result.json").read_text())
@@ -120,6 +121,7 @@ def test_result_json_keeps_the_contract(finished: Run) -> None:
     assert sum(result["timing"].values()) == pytest.approx(result["wall_s"], rel=0.01)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_provenance_repeats_the_run(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path, overrides = scenario_file(base), ["plant.parameters.J=0.002 kg.m2", "duration=1 s"]
     before = datetime.now(UTC).replace(microsecond=0)
@@ -141,6 +143,7 @@ def test_the_truth_grows_with_the_load(finished: Run) -> None:
     assert estimates["alpha2"]["true"] == pytest.approx(2.0)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_state_errors_pair_an_estimate_with_the_sample_before(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     """What is published at t_k+1 estimates t_k; paired with t_k+1 the error of v would be what v moves in a sample."""
     done = run(scenario_file(base), tmp_path / "out", Options(full=True, overrides=["duration=20 s"]))
@@ -199,6 +202,7 @@ def test_full_rate_on_request(base: str, scenario_file: Maker, tmp_path: Path) -
     assert len((done.folder / "signals.csv").read_text().splitlines()) == 3002
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_seed_changes_the_reference_and_nothing_else_does(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path = scenario_file(base)
     texts = [(run(path, tmp_path / "out", Options(seed=seed)).folder / "signals.csv").read_text() for seed in (1, 1, 2)]
@@ -218,12 +222,14 @@ def test_an_observer_that_diverges_fails_with_the_time(base: str, scenario_file:
     assert "The run ended" in (done.folder / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_missing_quantity_fails(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     done = run(scenario_file(base.replace("estimates.b.", "estimates.sigma0.")), tmp_path / "out")
     assert not done.passed
     assert math.isnan(done.result["checks"][0]["value"])
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("fault", ["none", "error"])
 def test_a_foreign_plant_takes_part(fault: str, tiny_fmu: Maker, base: str, scenario_file: Maker, tmp_path: Path) -> None:
     plant = f'fmu = "{tiny_fmu(fault)}"\n[plant.parameters]\ngain = 6.0'

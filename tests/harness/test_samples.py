@@ -225,6 +225,7 @@ def test_notes_on_the_record_are_in_the_report(tmp_path: Path, scenario_file: Ma
     assert "one or two samples are missing" in (done.folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_rls_on_the_emps_record(tmp_path: Path) -> None:
     """The published least-squares model of this axis: M 95.1 kg, Fv 203.5 N.s/m, Fc 20.4 N, 35.15 N/V."""
     from bristle.harness.run import run

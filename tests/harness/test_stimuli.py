@@ -60,6 +60,7 @@ def test_constant_step_and_sine_move_the_shaft_as_the_solution_says(base: str, s
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.max(np.abs(expected)))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_noise_is_what_signals_csv_shows(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     path = scenario_file(stimulated(base, OPEN_LOOP, torque('noise = {rms = "2 mN.m", bandwidth = "20 Hz", seed = 4}')))
     folder = run(path, tmp_path / "out", Options(full=True)).folder
@@ -102,6 +103,7 @@ def test_the_second_run_has_the_last_level_and_the_noise(base: str, scenario_fil
     np.testing.assert_allclose(second[:1000] - first[:1000], 0.001, rtol=1e-9)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_load_that_varies_scales_the_truth(base: str, scenario_file: Maker, tmp_path: Path) -> None:
     sine = '[[stimuli]]\nvariable = "load_scale"\nsine = {amplitude = 0.25, frequency = "0.5 Hz", phase = "90 deg"}\n'
     path = scenario_file(base.replace("2 s", "4 s").replace("[[checks]]", f"{sine}\n[[checks]]", 1))

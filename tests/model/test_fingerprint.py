@@ -79,7 +79,7 @@ def servo(law, effects):
         (lambda: servo("coulomb", ("asymmetric_coulomb",)), "dry", "backward"),
         (lambda: servo("coulomb", ("input_delay",)), "updates", None),
         (lambda: servo("gms", ()), "margins", None),
-        (observer_program, "constants", None),
+        pytest.param(observer_program, "constants", None, marks=pytest.mark.slow),
     ],
 )
 def test_one_operation_more_in_one_equation_changes_the_fingerprint(make, what, name):

@@ -155,6 +155,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", JUDGED)
 def test_what_is_valid_is_right(method):
     wrong = {}

@@ -83,6 +83,7 @@ def test_a_scenario_runs_and_its_result_is_what_was_written(case, tmp_path):
     assert "b moves" in str(result)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_overrides_replace_values_of_the_file(case, tmp_path):
     text = bristle.run(case, tmp_path / "a", overrides={"plant.parameters.J": "2 g.m2", "duration": "0.5 s"})
     with pytest.raises(bristle.BristleError, match="has no unit"):
@@ -94,6 +95,7 @@ def test_overrides_replace_values_of_the_file(case, tmp_path):
     assert text.estimates["b"]["true"] == pytest.approx(plain.estimates["b"]["true"] / 2)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_another_seed_gives_another_run(case, tmp_path):
     one, other = (bristle.run(case, tmp_path / str(seed), seed=seed) for seed in (1, 2))
     assert one.estimates["b"]["moved"] != other.estimates["b"]["moved"]

@@ -195,6 +195,7 @@ def test_every_effect_joins_every_law_or_is_refused(law_name):
         assert allowed & set(SHIPPED) == {name for name in SHIPPED if (name, law_name) not in REFUSED}
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("law_name", list(laws()))
 def test_each_runs_for_two_seconds_and_shows(law_name):
     program, u = every(law_name), voltages(2000, 3.0 if law_name == "modified_polynomial" else 1.5)
@@ -207,6 +208,7 @@ def test_each_runs_for_two_seconds_and_shows(law_name):
         assert np.max(np.abs(found[:, 0] - found[:, 3])) < 2 * math.pi / 40000 + 1e-12, name  # the encoder shows theta
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("law_name", list(laws()))
 def test_with_zero_strength_it_is_the_servo_without_the_effect(law_name):
     program, u = every(law_name), voltages(2000, 3.0 if law_name == "modified_polynomial" else 1.5)
