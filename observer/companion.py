@@ -138,10 +138,11 @@ class Companion:
         distinct = unit * ca.diag(seen)[:n] * LEAST_DISTINCT < 1  # 1 over their product is the share that the others do not explain
         found, narrow = everything[:n], factors.regression(n)
         if view:
-            found = found + view.origin
+            found, narrow = found + view.origin[:n], narrow + view.origin[:n]
             values, slopes = view.derived(found)
             spread = [factors.inverse_along(slopes[i, :].T) for i in range(values.numel())]
-            found = narrow = ca.vertcat(found, values)
+            narrow = ca.vertcat(narrow, view.derived(narrow)[0])
+            found = ca.vertcat(found, values)
             unit = ca.vertcat(unit, *spread)
             distinct = ca.vertcat(distinct, *([ca.mmin(distinct)] * len(spread)))
         free = rows / row.alike - self.columns  # independent samples beyond the unknowns

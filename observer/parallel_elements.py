@@ -22,11 +22,13 @@ CITATION = "dixit2008 eq. (15) and (17), elements side by side as in iwan1966"
 FIT_CITATION = "ljung1999 section 11.2"
 GRID = (30.0, 100.0, 300.0)  # 1/rad
 WEIGHTS = BASIS_COUNT + 1
-CHI = len(GRID) * WEIGHTS
+ELEMENT_COUNT = len(GRID)
+WIDER = 8.0  # width of what friction may still fall beside the basis functions, over that of the first
+CHI = ELEMENT_COUNT * WEIGHTS + 1  # the last is that of the middle element with the wider basis function
 STIFFNESSES = tuple(f"sigma0_{i}" for i in range(1, len(GRID) + 1))
 SIGMAS = tuple(f"sigma{j}_{i}" for i in range(1, len(GRID) + 1) for j in range(WEIGHTS))
 ENTRIES = ("alpha2", "b", *SIGMAS, "load", "late_drive")  # the last is -b times the delay in samples
-COMPANION = Companion(ENTRIES, entries=len(ENTRIES), derived=("Fc", "lateness"))
+COMPANION = Companion(ENTRIES, extra=1, derived=("Fc", "lateness"))
 BESIDE = 4  # signals that are filtered beside chi: v', -v, u, change of u
 
 
@@ -41,17 +43,17 @@ def _relaxed(p: Namespace, s: Sample) -> SX:
     """
     v = (s.y0 + s.y1) / 2
     basis = ca.vertcat(1, *gaussian(v / p.width))
-    chi, new = stack(p, "chi", CHI), []
-    for i, c in enumerate(ca.vertsplit(_distances(p))):
-        travel = ca.fmax(c * ca.fabs(v) * s.period, 1e-9)
-        kept = ca.exp(-travel)
-        new.append(chi[i * WEIGHTS : (i + 1) * WEIGHTS] * kept + basis * v * s.period * (1 - kept) / travel)
-    return ca.vertcat(*new)
+    c = _distances(p)
+    driven = ca.vertcat(*([basis] * ELEMENT_COUNT), gaussian(v / p.width / WIDER)[0])
+    travel = ca.vertcat(*(ca.repmat(each, WEIGHTS, 1) for each in ca.vertsplit(c)), c[ELEMENT_COUNT // 2])
+    travel = ca.fmax(travel * ca.fabs(v) * s.period, 1e-9)
+    kept = ca.exp(-travel)
+    return SX(stack(p, "chi", CHI) * kept + driven * v * s.period * (1 - kept) / travel)
 
 
 def _view(c: SX) -> View:
     """Return the regression as it is, with Coulomb friction sum sigma_i0 / c_i and the delay beside its entries."""
-    n = len(ENTRIES)
+    n = COMPANION.columns
     slope = SX.zeros(1, n)
     for i, name in enumerate(STIFFNESSES):
         slope[ENTRIES.index(name)] = 1 / c[i]
@@ -59,8 +61,9 @@ def _view(c: SX) -> View:
     def derived(fit: SX) -> tuple[SX, SX]:
         drive = fit[1] / (fit[1] ** 2 + LEAST_DRIVE**2)
         late = SX.zeros(1, n)
-        late[n - 1] = -drive
-        return ca.vertcat(slope @ fit, late @ fit), ca.vertcat(slope, late)
+        late[len(ENTRIES) - 1] = -drive
+        both = ca.vertcat(slope, late)
+        return both[:, : len(ENTRIES)] @ fit, both
 
     nothing = SX(n, 1)
     return View(SX.eye(n), nothing, nothing, nothing, nothing, derived)
@@ -79,13 +82,13 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     once, twice = stack(p, "once", size), stack(p, "twice", size)
     once_new = once + gain * (raw - once)
     row_new = twice + gain * (once_new - twice)
-    h = ca.vertcat(row_new[1:3], row_new[BESIDE:], 1, row_new[3])
+    h = ca.vertcat(row_new[1:3], row_new[BESIDE:-1], 1, row_new[3])
     noise = 2 * (p.noise * gain / s.period) ** 2
-    row = Row(row_new[0], h, SX(0, 1), p.samples * s.period * p.cutoff > SETTLED_AFTER, noise, 2 / (p.cutoff * s.period))
+    row = Row(row_new[0], h, row_new[-1], p.samples * s.period * p.cutoff > SETTLED_AFTER, noise, 2 / (p.cutoff * s.period))
     view = _view(c)
     fitted = COMPANION.advance(p, row, ca.exp(-s.period / p.memory), s.period, lambda _: view)
-    found = COMPANION.fit(p)
-    w = ca.dot(ca.vertcat(*(found[name] for name in SIGMAS)), chi)
+    found = COMPANION.narrow(p)
+    w = ca.dot(ca.vertcat(*(found[name] for name in SIGMAS)), chi[:-1])
     return Update(
         next={
             **unstack("chi", new), **unstack("once", once_new), **unstack("twice", row_new), "u_before": s.u, **fitted,
