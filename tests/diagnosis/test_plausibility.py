@@ -44,6 +44,7 @@ def test_plausible_data_are_not_reported(name, off, positions, velocities, tree)
     assert said(model, velocities[name]).proposals == ()
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(effects()))
 def test_each_mistake_is_reported(name, positions, velocities, tree):
     off = OFF[list(effects()).index(name) % 3]

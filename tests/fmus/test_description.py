@@ -60,6 +60,7 @@ def test_build_description_is_valid_and_complete(built, what):
     assert {e.get("name") for e in document.iter("SourceFile")} == {p.name for p in folder.glob("*.c")}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("case", ALL, ids=identity)
 def test_variables_are_those_of_the_program(built, case):
     """Names, units, limits, starts and value references; one definition, so no list of names is typed here."""

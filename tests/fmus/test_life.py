@@ -99,7 +99,7 @@ def test_states_continue_bitwise(built, Raw, case):
     """Get, continue elsewhere, set, go on; and the same through bytes, in another instance and in another process."""
     what, fmi = case
     fmu = built(what, fmi=fmi)
-    raw, outputs = Raw(fmu.info), fmu.names("output")
+    raw, outputs, states, rows = Raw(fmu.info), fmu.names("output"), [], []
     for choice in choices(fmu):
         handle = prepared(raw, choice)
         run(raw, handle, what, outputs, 0, 150)
@@ -114,30 +114,33 @@ def test_states_continue_bitwise(built, Raw, case):
         assert status == 0
         assert raw.set_state(other, copy) == 0
         assert run(raw, other, what, outputs, 150, 250) == expected
-        assert elsewhere(fmu, data, what, outputs) == expected
+        states.append(data.hex())
+        rows.append(expected)
         assert raw.free_state(handle, state) == raw.free_state(other, copy) == 0
+    assert elsewhere(fmu, states, what, outputs) == b"".join(rows)
 
 
-def elsewhere(fmu, data, what, outputs):
-    """Continue from bytes in a new process."""
+def elsewhere(fmu, states, what, outputs):
+    """Continue from bytes in a new process, each state in a new instance."""
     code = f"""
 import json, sys
 sys.path[:0] = [{str(HERE)!r}]
 from raw import Raw
 import numpy as np
 raw = Raw(json.loads({json.dumps(fmu.info)!r}))
-handle = raw.instantiate()
-status, state = raw.deserialise(handle, bytes.fromhex({data.hex()!r}))
-assert status == 0 and raw.set_state(handle, state) == 0
 rows = []
-for k in range(150, 250):
-    force = 6.0 * np.sin(0.021 * k) + (2.0 if k % 97 < 40 else -1.0)
-    assert raw.set(handle, {DRIVE[what]!r}, float(force)) == 0
-    assert raw.step(handle, {H} * k, {H}) == 0
-    rows.append(raw.get(handle, *{outputs!r}))
+for data in json.load(sys.stdin):
+    handle = raw.instantiate()
+    status, state = raw.deserialise(handle, bytes.fromhex(data))
+    assert status == 0 and raw.set_state(handle, state) == 0
+    for k in range(150, 250):
+        force = 6.0 * np.sin(0.021 * k) + (2.0 if k % 97 < 40 else -1.0)
+        assert raw.set(handle, {DRIVE[what]!r}, float(force)) == 0
+        assert raw.step(handle, {H} * k, {H}) == 0
+        rows.append(raw.get(handle, *{outputs!r}))
 sys.stdout.buffer.write(np.array(rows).tobytes())
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    done = subprocess.run([sys.executable, "-c", code], input=json.dumps(states).encode(), capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
     return done.stdout
 

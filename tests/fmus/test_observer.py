@@ -83,6 +83,7 @@ def test_the_moved_plants_do_move_otherwise():
         assert np.abs(other[1000:] - runs[0][1000:]).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_an_adaptive_state_is_handed_over_to_another_process(tmp_path):
     """Every method is stopped in mid-run, serialised, restored in one other process, and goes on to the last bit."""
     fmu, seen = Fmu(obtain("observer")), record()

@@ -101,6 +101,7 @@ CASES = [  # limits of about twice what was measured
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("method", "plant", "names", "limit"), CASES)
 def test_method_finds_the_true_parameters(method, plant, names, limit):
     final = errors(method, record(plant), names)[-1]
@@ -129,6 +130,7 @@ def test_fast_laws_settle_fast(method, names, seconds):
     assert np.max(np.abs(late)) < 5.0
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("method", "names"), [(method, names) for method, plant, names, _ in CASES if plant == "S" and method not in DELAYED]
 )

@@ -257,6 +257,7 @@ def extremes():
     yield {"u": np.sin(0.01 * k), "y_theta": np.where(k > n // 2, 1e300, 1e-3 * k), "y_v": np.where(k == n // 2, -1e300, 1.0)}
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_no_output_is_ever_anything_but_a_number(method):
     program = observer_program(method)

@@ -483,6 +483,7 @@ ABUSE = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", list(ABUSE))
 @pytest.mark.parametrize("method", DIRECT)
 def test_nothing_makes_an_estimate_infinite(method, name):

@@ -63,6 +63,7 @@ LIMIT = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", KNOWN)
 def test_a_load_torque_is_found_and_costs_no_accuracy(method):
     """A tenth of Coulomb friction, 4 rad/s2."""

@@ -89,6 +89,7 @@ def test_method_reads_only_its_declared_output(method):
     assert not np.array_equal(observe(method, data, names), observe(method, read, names), equal_nan=True)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", sorted(methods()))
 def test_what_is_not_estimated_is_nan_and_not_valid(method):
     instance = Native(observer_program(method))

@@ -94,6 +94,7 @@ def test_filtered_approach_one_finds_a_delay_and_loses_nothing(method, samples):
 # -- wrong, and it says so -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("method", [*TWO_STEP, "swapped_position", "joint_ekf", "joint_ukf", "parallel_elements"])
 @pytest.mark.parametrize("case", ["coarse encoder", "delay", "wide Stribeck curve"])
 def test_what_is_wrong_is_not_valid(method, case):

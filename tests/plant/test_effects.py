@@ -632,6 +632,7 @@ def test_cogging_settles_where_its_slope_is_negative():
     assert record[-1, 0] == pytest.approx(math.pi / 4, abs=1e-3)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("law_name", ["coulomb", "lugre", "modified"])
 @pytest.mark.parametrize(
     ("name", "value", "level"),
