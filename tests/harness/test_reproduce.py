@@ -37,6 +37,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     return out, reproduce(out, share=SHORT)
 
 
+@pytest.mark.slow
 def test_the_folder_holds_the_page_its_figures_and_the_numbers(page: tuple[Path, dict[str, Any]]) -> None:
     out, content = page
     assert {path.name for path in out.iterdir()} == set(REPRODUCE_FILES)
@@ -52,6 +53,7 @@ def test_the_folder_holds_the_page_its_figures_and_the_numbers(page: tuple[Path,
     assert not re.search(r"\bnan\b", re.sub(r"<[^>]*>", " ", html))
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_the_scenarios(page: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     """A user who runs a scenario of the page with the overrides that it shows gets the same digits."""
     _, content = page
@@ -67,6 +69,7 @@ def test_the_numbers_are_those_of_the_scenarios(page: tuple[Path, dict[str, Any]
         assert row[name] == done.result["validation"][f"{name}_mse_percent"]
 
 
+@pytest.mark.slow
 def test_a_second_page_replaces_the_first_and_leaves_the_rest(page: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     from bristle.common.output import replace_files
 
