@@ -170,7 +170,7 @@ def cost(instance: Native, inputs: dict[str, np.ndarray]) -> float:
         begin = time.perf_counter()
         instance.run(COMMUNICATION_STEP, inputs, [])
         times.append(time.perf_counter() - begin)
-    return 1e6 * statistics.median(times) / len(inputs["u"])
+    return 1e6 * statistics.median(times) / len(next(iter(inputs.values())))
 
 
 def observer_costs(record: np.ndarray) -> dict[str, float]:
