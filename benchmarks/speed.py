@@ -221,8 +221,8 @@ def main() -> int:
     for name, value, sign, limit in checks:
         print(f"| {name} | {value:.3g} | {sign} {limit:g} |")
     print("\n| arithmetic alone | us/step | internal steps/step |\n|---|---|---|")
-    for name, cost, internal in arithmetic(parts, reference):
-        print(f"| {name} | {cost:.3f} | {internal:.2f} |")
+    for name, spent, internal in arithmetic(parts, reference):
+        print(f"| {name} | {spent:.3f} | {internal:.2f} |")
     print("\n| observer alone | us/step |\n|---|---|")
     for name, value in sorted(costs.items(), key=lambda item: item[1]):
         print(f"| {name} | {value:.2f} |")

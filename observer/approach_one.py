@@ -11,7 +11,7 @@ from bristle.model.basis import gaussian, width_parameter
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import information, levant, zhang
-from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, never_valid, stack, unstack, vector_states
 
 SX = ca.SX
 CITATION = "dixit2008 eq. (19)-(22)"
@@ -127,8 +127,7 @@ def update(context: EquationContext, s: Sample, entries: Entries) -> Update:
             "x2": x2 + ca.dot(upsilon, theta_new - theta),
         },
         estimates=entries.estimates(p),
-        valid={name: SX(0) for name in entries.published},  # what it needs of the input is not seen in its signals
-        adapted=SX(0),
+        **never_valid(entries.published),  # what it needs of the input is not seen in its signals
         signals={"v": p.velocity0},
         first={"velocity0": s.y1},
     )

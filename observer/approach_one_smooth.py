@@ -7,7 +7,7 @@ import casadi as ca
 from bristle.model.variables import Parameter, State
 from bristle.observer import besancon, information, zhang
 from bristle.observer.approach_one import ALL, Entries, adapt, gain_parameters, regressor
-from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
+from bristle.observer.method import EquationContext, Method, Sample, Update, never_valid, stack, unstack, vector_states
 
 SX = ca.SX
 MAX_REGRESSOR_ACCELERATION = 1e3  # rad/s2; larger estimates of v' are not used in the regressor
@@ -49,8 +49,7 @@ def update(context: EquationContext, s: Sample, entries: Entries) -> Update:
         next={name: ca.if_else(ready, value, p[name]) for name, value in moved.items()}
         | {"x0": ca.if_else(ready, moved["x0"], s.y0), "y_before": s.y0, "u_before": s.u, "seen": SX(1)},
         estimates=entries.estimates(p),
-        valid={name: SX(0) for name in entries.published},  # what it needs of the input is not seen in its signals
-        adapted=SX(0),
+        **never_valid(entries.published),  # what it needs of the input is not seen in its signals
         signals={"v": p.x0},
     )
 

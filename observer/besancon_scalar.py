@@ -9,7 +9,7 @@ import casadi as ca
 from bristle.model.basis import gaussian
 from bristle.model.variables import Namespace, Parameter
 from bristle.observer import besancon, zhang
-from bristle.observer.method import EquationContext, Method, Sample, Update
+from bristle.observer.method import EquationContext, Method, Sample, Update, never_valid
 
 SX = ca.SX
 UNIT = math.pi / 180.0  # the velocity is measured in deg/s, so that b u is in deg/s2 and c in 1/deg
@@ -67,8 +67,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         estimates,
         signals,
         first={"x0": s.y1 / UNIT},
-        valid={name: SX(0) for name in estimates},
-        adapted=SX(0),
+        **never_valid(estimates),
     )
 
 

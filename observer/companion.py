@@ -170,10 +170,6 @@ class Companion:
             **consistency.blocks(p, fit, residual * lost, (age, time, p[f"{pre}adapted"] > 0), BLOCKS_OF_CLAIM, pre),
         }
 
-    def values(self, p: Namespace) -> SX:
-        """Return the least squares as a vector."""
-        return stack(p, f"{self.prefix}fit", self.count)
-
     def fit(self, p: Namespace) -> dict[str, SX]:
         """Return the least squares beside the further columns; 0 before there are enough samples."""
         return {name: p[f"{self.prefix}fit{i}"] for i, name in enumerate(self.names)}

@@ -31,7 +31,8 @@ JUDGED_FROM = 5.0  # s after a start from which estimates may be valid
 class Filter:
     """A joint filter: its entries behind (theta, v, w), what they mean, where they start, and their bounds.
 
-    `start` returns entries and standard deviations, `low` and `high` the bounds of some of them by place in the vector.
+    `start` returns entries and standard deviations, `bounds` the least and the largest value of some of them, by place in the
+    vector.
     """
 
     names: tuple[str, ...]
@@ -40,7 +41,6 @@ class Filter:
     start: Callable[[Namespace, Mapping[str, SX]], tuple[SX, SX]]
     predict: Callable[[Namespace, SX, SX, Sample], tuple[SX, SX]]
     bounds: Callable[[Namespace], tuple[dict[int, SX], dict[int, SX]]]
-    noise: Callable[[Namespace, SX], SX]
     companion: bool = False  # whether the estimates are compared with the least squares of step 2 too
 
     @property
@@ -58,8 +58,9 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
     fields = rls.published(p, h)
     go = step2.begun(p, s, fields, JOINT_START_SHARE)
     runs = p.step2_runs > 0
-    z, covariance = f.predict(p, *kalman.read(p, f.order), s)
-    rates = ca.vertcat(0, p.noise_v, p.noise_w, f.noise(p, stack(p, "spread", len(f.names))))
+    now, uncertainty = kalman.read(p, f.order)
+    z, covariance = f.predict(p, now, uncertainty, s)
+    rates = ca.vertcat(0, p.noise_v, p.noise_w, p.noise_parameters * stack(p, "spread", len(f.names)) ** 2)
     quantum = kalman.rounding(p.resolution)
     error = s.y1 + p.resolution / 2 - z[0]
     before = kalman.noisy(covariance, ca.vertsplit(rates), h)
@@ -88,7 +89,7 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
             "step2_runs": go,
         },
         **_published(p, s, f, fields),
-        signals=kalman.signals(kalman.read(p, f.order)[0], f.servo(p, kalman.read(p, f.order)[0][MOTION_STATES:])),
+        signals=kalman.signals(now, f.servo(p, now[MOTION_STATES:])),
         first={"joint0": s.y1},
     )
 
@@ -100,23 +101,17 @@ def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) ->
     Source: jazwinski1970 chapter 8; mehra1970.
     """
     z, covariance = kalman.read(p, f.order)
-    n = len(f.names)
-    factors = ca.diag(consistency.inflation(p, n, PREFIX))
+    factors = ca.diag(consistency.inflation(p, len(f.names), PREFIX))
     spread = factors @ covariance[MOTION_STATES:, MOTION_STATES:] @ factors
-    symbol = SX.sym("entries", n)
-    found = f.estimates(symbol)
-    values = ca.vertcat(*found.values())
-    values, slopes = ca.substitute([values, ca.jacobian(values, symbol)], [symbol], [z[MOTION_STATES:]])
-    names = list(found)
-    variances = [ca.fmax(ca.dot(slopes[i, :].T, spread @ slopes[i, :].T), 0) for i in range(len(names))]
-    estimates = {name: values[i] for i, name in enumerate(names)}
-    sd = {name: ca.fmin(ca.sqrt(variances[i]), swapping.LARGEST_ENTRY) for i, name in enumerate(names)}
+    entries = z[MOTION_STATES:]
+    estimates = f.estimates(entries)
+    sd = {name: ca.fmin(each, swapping.LARGEST_ENTRY) for name, each in kalman.deviations(f.estimates, entries, spread).items()}
     sound = ca.logic_and(p.age > JUDGED_FROM, p.innovation_sensor < p.innovation_limit)
     if f.companion:
         judged = swapping.worth(p, step2.COMPANION, {n: x for n, x in estimates.items() if n != "tau"}, step2.from_position(p, s))
-        sd |= {name: ca.sqrt(sd[name] ** 2 + judged.sd[name] ** 2) for name in names if name in judged.limits}
+        sd |= {name: ca.sqrt(sd[name] ** 2 + judged.sd[name] ** 2) for name in sd if name in judged.limits}
         sound = ca.logic_and(sound, judged.possible)
-    limits = {name: step1.VALID_SHARE * swapping.size_of(estimates, name) for name in names}
+    limits = {name: step1.VALID_SHARE * swapping.size_of(estimates, name) for name in estimates}
     return {
         "estimates": estimates,
         "sd": sd,
@@ -145,7 +140,6 @@ def parameters(prefix: str, noise_v: float, noise_w: float, limit: float) -> tup
 def states(f: Filter) -> tuple[State, ...]:
     """Declare step 1, vector and covariance, and how far the filter can be trusted."""
     n = len(f.names)
-    step2_states = (*(state for state in smoothing.STATES if state not in rls.STATES), *step2.STATES)
     return (
         *rls.STATES,
         *kalman.states(f"theta, v, w, {', '.join(f.names)}", "covariance of the vector", f.order),
@@ -153,5 +147,5 @@ def states(f: Filter) -> tuple[State, ...]:
         *(State(f"spread{i}", "1", f"standard deviation of {name} at the start") for i, name in enumerate(f.names)),
         State("age", "s", "time since the filter began"),
         State("innovation_sensor", "1", "mean squared innovation over the variance of the sensor, of late", initial=1.0),
-        *(step2_states if f.companion else (State("step2_runs", "1", "1 once the filter has begun"),)),
+        *((*step2.SMOOTHING_STATES, *step2.STATES) if f.companion else (State("step2_runs", "1", "1 once the filter has begun"),)),
     )

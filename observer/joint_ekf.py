@@ -49,11 +49,7 @@ def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
     return {place[n]: SX(x) for n, x in LOWEST.items()}, {place[n]: SX(x) for n, x in HIGHEST.items()}
 
 
-def _noise(p: Namespace, spread: SX) -> SX:
-    return SX(p.noise_parameters * spread**2)
-
-
-FILTER = joint.Filter(tuple(JOINT_ENTRIES), _servo, _estimates, _start, _predict, _bounds, _noise, companion=True)
+FILTER = joint.Filter(tuple(JOINT_ENTRIES), _servo, _estimates, _start, _predict, _bounds, companion=True)
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

@@ -84,11 +84,7 @@ def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
     }
 
 
-def _noise(p: Namespace, spread: SX) -> SX:
-    return SX(p.noise_parameters * spread**2)
-
-
-FILTER = joint.Filter(UKF_ENTRIES, _servo, _estimates, _start, _predict, _bounds, _noise)
+FILTER = joint.Filter(UKF_ENTRIES, _servo, _estimates, _start, _predict, _bounds)
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:

@@ -117,6 +117,17 @@ def sample(x: SX, servo: Servo, inputs: SX, h: SX) -> SX:
     return x
 
 
+def deviations(estimates: Callable[[SX], dict[str, SX]], entries: SX, covariance: SX) -> dict[str, SX]:
+    """Return the standard deviations, to first order, of estimates that are functions of entries with this covariance.
+
+    Source: jazwinski1970 chapter 8.
+    """
+    symbol = SX.sym("entries", entries.numel())
+    found = estimates(symbol)
+    slopes = ca.substitute(ca.jacobian(ca.vertcat(*found.values()), symbol), symbol, entries)
+    return {name: ca.sqrt(ca.fmax(ca.dot(slopes[i, :].T, covariance @ slopes[i, :].T), 0)) for i, name in enumerate(found)}
+
+
 def predict(meaning: Callable[[SX], Servo], z: SX, covariance: SX, inputs: SX, h: SX) -> tuple[SX, SX]:
     """Return (z, P) at the end of a sample, without process noise; the entries behind the states stay.
 

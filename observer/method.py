@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 
@@ -72,6 +73,11 @@ class Update:
     sd: dict[str, SX] = field(default_factory=dict)
     adapted: SX = field(default_factory=lambda: SX(1))
     innovation: SX = field(default_factory=lambda: SX(0))
+
+
+def never_valid(names: Iterable[str]) -> dict[str, Any]:
+    """Return the fields of an `Update` that say that no estimate can be relied on, of a method that is kept to show it."""
+    return {"valid": {name: SX(0) for name in names}, "adapted": SX(0)}
 
 
 class EquationContext:

@@ -304,10 +304,7 @@ def _deviations(p: Namespace) -> dict[str, SX]:
     z, covariance = kalman.read(p, ORDER)
     factors = ca.diag(consistency.inflation(p, PARAMETER_COUNT))
     covariance = factors @ covariance[MOTION_STATES:, MOTION_STATES:] @ factors
-    symbol = SX.sym("entries", PARAMETER_COUNT)
-    found = _estimates(symbol)
-    slopes = ca.substitute(ca.jacobian(ca.vertcat(*found.values()), symbol), symbol, z[MOTION_STATES:])
-    return {name: ca.sqrt(ca.fmax(ca.dot(slopes[i, :].T, covariance @ slopes[i, :].T), 0)) for i, name in enumerate(found)}
+    return kalman.deviations(_estimates, z[MOTION_STATES:], covariance)
 
 
 def _valid(p: Namespace, deviations: dict[str, SX]) -> dict[str, SX]:

@@ -8,14 +8,15 @@ Source: dixit2008 section III, Approach II; ljung1999 section 11.2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import smoothing, step1, swapping
-from bristle.observer.method import EquationContext, Sample
+from bristle.observer import kalman, rls, smoothing, step1, swapping
+from bristle.observer.method import EquationContext, Sample, Update
 
 SX = ca.SX
 COMPANION = swapping.companion("step2_")
@@ -24,6 +25,22 @@ START_SHARE = 0.01  # standard deviation of alpha2 and b over themselves at whic
 VELOCITY_NOISE = 1e-3  # rad/s, standard deviation of a measured velocity
 COMPANION_STATES = (*swapping.FILTER_STATES, *COMPANION.states, State("step2_u", "V", "input before"))
 STATES = (*COMPANION_STATES, State("step2_runs", "1", "1 once step 2 has begun"))
+SMOOTHING_STATES = tuple(state for state in smoothing.STATES if state not in rls.STATES)
+ENCODER_STATES = (*rls.STATES, *SMOOTHING_STATES, *STATES)  # of `from_encoder`
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law of step 2 at a sample: its next states, what they are before it begins, and what it publishes.
+
+    `first`: values of states at the very first sample.
+    """
+
+    next: dict[str, SX]
+    waiting: dict[str, SX]
+    estimates: dict[str, SX]
+    signals: dict[str, SX]
+    first: dict[str, SX] = field(default_factory=dict)
 
 
 def start_parameter(prefix: str) -> Parameter:
@@ -86,6 +103,35 @@ def published(p: Namespace, step1_fields: Mapping[str, Any], own: Mapping[str, S
         "adapted": step1_fields["adapted"],
         "innovation": ca.if_else(begun, later["innovation"], step1_fields["innovation"]),
     }
+
+
+def from_encoder(context: EquationContext, s: Sample, law: Callable[[Sample, SX, SX], Law]) -> Update:
+    """Run least squares as step 1 and, on its alpha2 and b, the law of step 2 on the smoothed velocity.
+
+    Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
+    """
+    p = context.p
+    step1_fields = rls.published(p, s.period)
+    velocity, filters = smoothing.smooth(p, s)
+    own = law(velocity, *(step1_fields["estimates"][name] for name in ("alpha2", "b")))
+    given = from_position(p, s)
+    beside = observe(context, velocity, known(step1_fields), given)
+    return Update(
+        next=rls.fit(p, s) | filters | beside | when(begun(p, s, step1_fields), own.next, own.waiting),
+        **published(p, step1_fields, own.estimates, given),
+        signals=own.signals,
+        first=own.first,
+    )
+
+
+def encoder_parameters(prefix: str) -> tuple[Parameter, ...]:
+    """Declare what `from_encoder` needs under a method's name."""
+    return (
+        start_parameter(prefix),
+        kalman.resolution_parameter(prefix),
+        *rls.parameters(prefix),
+        smoothing.parameter(prefix),
+    )
 
 
 def alone(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import casadi as ca
 
 from bristle.model.variables import Namespace
-from bristle.observer import drem, kalman, rls, smoothing, step2
+from bristle.observer import drem, step2
 from bristle.observer.drem_position import DREM_BANDWIDTH
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
@@ -22,19 +22,12 @@ def equations(
     Source: dixit2008 section III, Approach II and the remark on position measurement at its end.
     """
     p = context.p
-    step1_fields = rls.published(p, s.period)
-    alpha2, b = (step1_fields["estimates"][name] for name in ("alpha2", "b"))
-    velocity, filters = smoothing.smooth(p, s)
-    own = step(p, velocity, alpha2, b)
-    estimates, signals = drem.published(p, p.smoother0, alpha2)
-    go = step2.begun(p, s, step1_fields)
-    given = step2.from_position(p, s)
-    beside = step2.observe(context, velocity, step2.known(step1_fields), given)
-    return Update(
-        next=rls.fit(p, s) | filters | beside | step2.when(go, own, {name: p[name] for name in own}),
-        **step2.published(p, step1_fields, estimates, given),
-        signals=signals,
-    )
+
+    def law(velocity: Sample, alpha2: SX, b: SX) -> step2.Law:
+        own = step(p, velocity, alpha2, b)
+        return step2.Law(own, {name: p[name] for name in own}, *drem.published(p, p.smoother0, alpha2))
+
+    return step2.from_encoder(context, s, law)
 
 
 METHOD = Method(
@@ -42,13 +35,7 @@ METHOD = Method(
     "Approach II from position: least squares, then dynamic regressor extension and mixing on its alpha2 and b",
     "dixit2008 section III, Approach II; aranovskiy2017",
     "y_theta",
-    (
-        step2.start_parameter("two_step_drem"),
-        kalman.resolution_parameter("two_step_drem"),
-        *rls.parameters("two_step_drem"),
-        smoothing.parameter("two_step_drem"),
-        *drem.parameters("two_step_drem", DREM_BANDWIDTH),
-    ),
-    (*rls.STATES, *(state for state in smoothing.STATES if state not in rls.STATES), *step2.STATES, *drem.STATES),
+    (*step2.encoder_parameters("two_step_drem"), *drem.parameters("two_step_drem", DREM_BANDWIDTH)),
+    (*step2.ENCODER_STATES, *drem.STATES),
     equations,
 )

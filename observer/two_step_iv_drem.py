@@ -13,7 +13,7 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import drem, kalman, rls, smoothing, step2, two_step_drem, zhang
+from bristle.observer import drem, step2, two_step_drem, zhang
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
@@ -113,13 +113,7 @@ METHOD = Method(
     "Approach II from position: least squares, then mixing with instrumental variables, which torques and noise do not bias",
     "dixit2008 section III, Approach II; glushchenko2024",
     "y_theta",
-    (
-        step2.start_parameter("two_step_iv_drem"),
-        kalman.resolution_parameter("two_step_iv_drem"),
-        *rls.parameters("two_step_iv_drem"),
-        smoothing.parameter("two_step_iv_drem"),
-        *parameters("two_step_iv_drem"),
-    ),
-    (*rls.STATES, *(state for state in smoothing.STATES if state not in rls.STATES), *step2.STATES, *STATES),
+    (*step2.encoder_parameters("two_step_iv_drem"), *parameters("two_step_iv_drem")),
+    (*step2.ENCODER_STATES, *STATES),
     _equations,
 )

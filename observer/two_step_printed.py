@@ -10,7 +10,7 @@ import casadi as ca
 
 from bristle.model.variables import Parameter
 from bristle.observer import bastin_gevers, besancon_scalar, zhang
-from bristle.observer.method import EquationContext, Method, Sample, Update
+from bristle.observer.method import EquationContext, Method, Sample, Update, never_valid
 from bristle.observer.two_step import waiting
 
 SX = ca.SX
@@ -36,8 +36,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         estimates={"alpha2": alpha2, "b": b, "Fc": p.step1_Fc * UNIT} | estimates,
         signals=signals,
         first={"step1_v": s.y1 / UNIT, "x0": s.y1 / UNIT},
-        valid={name: SX(0) for name in ("alpha2", "b", "Fc", *zhang.ESTIMATES)},
-        adapted=SX(0),
+        **never_valid(("alpha2", "b", "Fc", *zhang.ESTIMATES)),
     )
 
 
