@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bristle.cli.files import DataCommand, files_of
 from bristle.common.arguments import filled_path
 from bristle.common.errors import BristleError, IncompleteError
 
@@ -305,18 +306,16 @@ def reproduce(
 
 
 @app.command(
+    cls=DataCommand,
     short_help="Name the effect that a model lacks, from measured records.",
-    context_settings={"allow_extra_args": True},
     epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction. "
     "With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u [V] and theta [rad] "
     "or, of an FMU without it, v [rad/s]. "
     "Exit code 0: it completed, whatever it found; 2: an error.",
 )
 def diagnose(
-    context: typer.Context,
     data: Annotated[
-        list[Path],
-        typer.Option(help="measured record; give it once for each file (two or more are best)", metavar="FILE", parser=_path),
+        list[Path], typer.Option(help="measured files or patterns (two files or more are best)", metavar="FILE...", parser=_path)
     ],
     out: Annotated[
         Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model", metavar="FOLDER", parser=_path)
@@ -328,11 +327,10 @@ def diagnose(
     debug: DebugOption = False,
 ) -> None:
     """Find where a model and measured records disagree, name the missing effect, and write the model with it."""
-    if context.args:  # as of --data *.csv, which the shell spells out
-        raise BristleError(f"{', '.join(context.args)}: no option before it; write --data before each measured file")
     if model is None and fmu is None:
         raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
     _check_effect(choose)
+    data = files_of(data)
     from bristle.common.output import output_folder
     from bristle.diagnosis.report.export import check_places, write
 

@@ -95,8 +95,7 @@ def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
     for k, path in enumerate(real):
         if path in real[:k]:
             raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
-    stems = [path.stem for path in listed]
-    names = [f"{stem}#{stems[:i].count(stem) + 1}" if stems.count(stem) > 1 else stem for i, stem in enumerate(stems)]
+    names = _names(listed)
     raws = [Raw(name, str(path), *_read(layout, path)) for name, path in zip(names, listed, strict=True)]
     return _records(layout, raws, needs)
 
@@ -150,6 +149,21 @@ def _read(layout: Layout, path: Path) -> list[Array]:
         for key, (column, unit) in layout.columns.items()
     ]
     return vectors(str(path), *found)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return the stem of each file, with as many of the folders before it as tell it from the others."""
+    return [_name(path, [other for k, other in enumerate(paths) if k != number]) for number, path in enumerate(paths)]
+
+
+def _name(path: Path, others: Sequence[Path]) -> str:
+    """Return the shortest end of a path, without its suffix, that no other path has; with the suffix if all of it is alike."""
+    parts, alike = path.absolute().parts, [other.absolute().parts for other in others if other.stem == path.stem]
+    for depth in range(1, len(parts)):
+        alike = [other for other in alike if other[-depth:-1] == parts[-depth:-1]]
+        if not alike:
+            return "/".join((*parts[-depth:-1], path.stem))
+    return path.name
 
 
 def _raw_records(entries: Iterable[object]) -> Iterator[Raw]:

@@ -94,6 +94,32 @@ def test_an_fmu_is_its_own_model_unless_there_is_one_beside_it(call: Call, asked
     assert asked["arguments"] == (Path("p.fmu"), "model of m.toml", ["model of m.toml", "a.csv"])
 
 
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["m.toml", "--data", "a.csv", "b.csv", "c.csv"], ["m.toml", "--data", "a.csv", "b.csv", "--data", "c.csv"],
+        ["--data=a.csv", "b.csv", "c.csv", "m.toml"], ["--data", "a.csv", "b.csv", "--fmi", "3", "m.toml", "--data", "c.csv"],
+    ],
+)  # fmt: skip
+def test_data_takes_all_files_behind_it(call: Call, asked: dict[str, Any], tmp_path: Path, args: list[str]) -> None:
+    assert call("diagnose", *args, "--out", tmp_path)[0] == 0
+    assert asked["arguments"] == ("model of m.toml", ["model of m.toml", "a.csv", "b.csv", "c.csv"])
+
+
+def test_data_takes_patterns(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    for name in ("run10.csv", "run2.csv", "run1.csv", "other.csv", "new/run3.csv", "odd[1].csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("t,u,theta\n")
+
+    def given(*patterns: str) -> list[str]:
+        assert call("diagnose", "m.toml", "--data", *(tmp_path / each for each in patterns), "--out", tmp_path / "out")[0] == 0
+        return list(asked["arguments"][1][1:])
+
+    assert given("run*.csv") == ["run1.csv", "run2.csv", "run10.csv"]
+    assert given("other.csv", "run1?.csv", "odd[1].csv") == ["other.csv", "run10.csv", "odd[1].csv"]
+    assert given("**/run[123].csv") == ["run3.csv", "run1.csv", "run2.csv"]
+
+
 def test_a_member_of_a_tie_is_chosen(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
     asked["case"] = "tie"
     code, _, error = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path, "--choose", "bias")
@@ -113,10 +139,8 @@ def test_mistakes_are_one_line_before_time_is_spent(call: Call, asked: dict[str,
     (tmp_path / "file").write_text("")
     one_line(call("diagnose", "--data", "a.csv", "--out", tmp_path / "out"), "MODEL.toml", "--fmu")
     one_line(call("diagnose", "m.toml", "--out", tmp_path / "out"), "--data")
-    one_line(
-        call("diagnose", "m.toml", "--data", "a.csv", "b.csv", "c.csv"),
-        "b.csv, c.csv: no option before it; write --data before each",
-    )
+    one_line(call("diagnose", "m.toml", "a.csv", "--data", "b.csv"), "unexpected extra argument", "(a.csv)")
+    one_line(call("diagnose", "m.toml", "--data", tmp_path / "*.csv"), "*.csv: no file matches this pattern")
     one_line(call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "out", "--choose", "honey"), "honey", "gravity")
     one_line(call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "file"), "output folder")
     assert "arguments" not in asked

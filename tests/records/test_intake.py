@@ -103,13 +103,27 @@ def test_files_in_their_own_units(tree, tmp_path):
         table = np.column_stack([t * 1e3, -u * 1e3, np.floor(y / STEP)])
         np.savetxt(tmp_path / folder / "run.csv", table, delimiter=",", header="t,u,theta", comments="", fmt="%.12g")
     records = read_records(layout, [tmp_path / "one" / "run.csv", tmp_path / "two" / "run.csv"])
-    assert [r.name for r in records] == ["run#1", "run#2"]
+    assert [r.name for r in records] == ["one/run", "two/run"]
     for record, (_, u, y) in zip(records, runs.values(), strict=True):
         assert record.findings == ()
         assert record.h == pytest.approx(H)
         np.testing.assert_allclose(record.u, u, atol=1e-9)
         np.testing.assert_allclose(record.y, counts(y), atol=1e-9)
         assert record.resolution == pytest.approx(layout.resolution, rel=1e-6)
+
+
+def test_records_that_share_a_name_keep_their_folders(layout, tmp_path):
+    places = ["a/rig/run.csv", "b/rig/run.csv", "a/run.csv", "a/rest.csv", "a/rest.npz"]
+    for seed, place in enumerate(places):
+        path = tmp_path / place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        t, u, theta = motion(seed=seed)
+        if path.suffix == ".npz":
+            np.savez(path, t=t, u=u, theta=theta)
+        else:
+            np.savetxt(path, np.column_stack([t, u, theta]), delimiter=",", header="t,u,theta", comments="")
+    names = [record.name for record in read_records(layout, [tmp_path / place for place in places])]
+    assert names == ["a/rig/run", "b/rig/run", "a/run", "rest.csv", "rest.npz"]
 
 
 def test_a_velocity_is_neither_unwrapped_nor_mistaken(tree):
