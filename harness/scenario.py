@@ -130,7 +130,7 @@ class Record(LayoutTable):
     """A measured file in place of plant and controller."""
 
     file: str
-    """Path of the file (CSV, MAT, NPZ or Parquet), relative to the scenario file."""
+    """Path of the file (CSV, XLSX, MAT, NPZ, Parquet and others), relative to the scenario file."""
     velocity: Column | None = None
     """Column of a velocity that was measured besides the position; without it, the position is differentiated."""
 

@@ -217,7 +217,7 @@ def diagnose(
         Model file (TOML), or what `load_model` returns. None if `fmu` alone describes the servo: the FMU must then have the
         parameters J, a2 and b, and the columns of the records are t [s], u [V] and theta [rad] or v [rad/s].
     data : path or Record, or sequence of either
-        Measured files (CSV, MAT, NPZ or Parquet) or records that are loaded already; two or more records are better than one.
+        Measured files (CSV, XLSX, MAT and others) or records that are loaded already; two or more records are better than one.
     out : path, optional
         Folder for diagnosis.json, report.html and the augmented model; without it nothing is written.
     fmu : path, optional
@@ -313,7 +313,7 @@ def load_record(model: PathLike | Model, file: PathLike) -> Record:
     model : path or Model
         Says which columns hold time, input and output, and their units.
     file : path
-        CSV, MAT, NPZ or Parquet file.
+        File of any format that is read: CSV, XLSX, MAT, NPZ, Parquet and others.
 
     Returns
     -------
@@ -339,7 +339,7 @@ def load_records(model: PathLike | Model, files: PathLike | Sequence[PathLike]) 
     model : path or Model
         Says which columns hold time, input and output, and their units.
     files : path or sequence of path
-        CSV, MAT, NPZ or Parquet files.
+        Files of any format that is read: CSV, XLSX, MAT, NPZ, Parquet and others.
 
     Returns
     -------

@@ -18,6 +18,8 @@ from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
 from bristle.records.sensor import MOTIONLESS_STEPS, compare_resolution, must_move, repaired, report_steps
 
 SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30  # SI: no rig gives a smaller or larger value, and the square of one is not finite
+BRIDGED_SAMPLES = 5  # samples: most that are not finite in a row and are interpolated over
+BRIDGED_SHARE = 0.02  # of the samples: most that are not finite and are interpolated over
 GAP_INTERVALS = 3.5  # sampling intervals: a longer interval is a gap, a shorter one is interpolated over
 COPY_TOLERANCE = 1e-6  # of its range: columns that differ by less are the same, written with more or fewer digits
 CONSTANT_TOLERANCE = 1e-9  # of its largest value: an input that varies by less is constant
@@ -59,7 +61,7 @@ def read_record(layout: Layout, path: Path | str) -> Record:
     layout : Layout
         Names the columns and their units.
     path : path
-        A CSV, MAT, NPZ or Parquet file.
+        A file of a format that `bristle.common.table.READERS` lists: text, MAT, HDF5, NPZ, Parquet or XLSX.
 
     Returns
     -------
@@ -83,7 +85,7 @@ def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
     layout : Layout
         Names the columns and their units.
     paths : path or sequence of path
-        CSV, MAT, NPZ or Parquet files, each once.
+        Files of such formats, each once.
     needs : Requirements
         What the records must have; `BristleError` says what one lacks.
     """
@@ -96,8 +98,7 @@ def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
         if path in real[:k]:
             raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
     names = _names(listed)
-    raws = [Raw(name, str(path), *_read(layout, path)) for name, path in zip(names, listed, strict=True)]
-    return _records(layout, raws, needs)
+    return _records(layout, [_read(layout, path, name) for path, name in zip(listed, names, strict=True)], needs)
 
 
 def records_from_arrays(
@@ -142,13 +143,16 @@ def _must_be_layout(layout: object) -> None:
         raise BristleError(f"the layout is a {type(layout).__name__}; give a Layout, or a model that load_model returns")
 
 
-def _read(layout: Layout, path: Path) -> list[Array]:
+def _read(layout: Layout, path: Path, name: str) -> Raw:
     columns = read_columns(path)
     found = [
         si_column(f"record {path}: {key}", columns, column.column, column.unit, column.scale, unit)
         for key, (column, unit) in layout.columns.items()
     ]
-    return vectors(str(path), *found)
+    raw = Raw(name, str(path), *vectors(str(path), *found))
+    for line in columns.findings:
+        raw.say(line)
+    return raw
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -237,7 +241,7 @@ def _report_constant_input(layout: Layout, record: Record) -> Record:
 
 # -- one record ----------------------------------------------------------------------------------------------------------
 def _cut_ends(raw: Raw) -> None:
-    """Leave out samples that are not finite at the ends; refuse them between."""
+    """Leave out samples that are not finite at the ends; interpolate a few between, refuse more."""
     table = np.column_stack(raw.columns)
     whole = np.asarray(np.all(np.isfinite(table), axis=1))
     if whole.all():
@@ -246,13 +250,28 @@ def _cut_ends(raw: Raw) -> None:
     if not len(good):
         raise raw.error("no sample is finite in all columns; check the columns")
     first, last = int(good[0]), int(good[-1])
-    if not whole[first : last + 1].all():
-        k = first + int(np.argmin(whole[first : last + 1]))
-        key = COLUMN_NAMES[int(np.argmin(np.isfinite(table[k])))]
-        count = int(np.sum(~whole[first : last + 1]))
-        raise raw.error(f"{key} is not finite at sample {k} ({count} such samples before the end); repair them or cut the record")
-    raw.say(f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite; left out")
+    if first or last < len(whole) - 1:
+        raw.say(f"{first} samples at the start and {len(whole) - 1 - last} at the end are not finite; left out")
     raw.keep(slice(first, last + 1))
+    if not whole[first : last + 1].all():
+        _bridge(raw)
+
+
+def _bridge(raw: Raw) -> None:
+    """Interpolate over a few samples that are not finite between others; refuse many, or many in a row."""
+    for key, values in zip(COLUMN_NAMES, raw.columns, strict=False):
+        bad = ~np.isfinite(values)
+        if not bad.any():
+            continue
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]))).reshape(-1, 2)
+        longest, count = int(np.max(edges[:, 1] - edges[:, 0])), int(np.sum(bad))
+        where = f"{key} is not finite at {count} samples (first at sample {edges[0, 0]}, at most {longest} in a row)"
+        if longest > BRIDGED_SAMPLES or count > BRIDGED_SHARE * len(values):
+            allowed = f"{BRIDGED_SAMPLES} in a row and {BRIDGED_SHARE:.0%} in all are interpolated"
+            raise raw.error(f"{where}; {allowed}: repair them or cut the record")
+        raw.say(f"{where}; interpolated")
+        good = np.flatnonzero(~bad)
+        values[bad] = np.interp(np.flatnonzero(bad), good, values[good])
 
 
 def _must_be_possible(layout: Layout, raw: Raw) -> None:

@@ -54,6 +54,13 @@ def counts(y, step=STEP):
     return np.floor(y / step) * step
 
 
+def holes(values, where, with_=np.nan):
+    """Return values with others that are not finite at some samples."""
+    values = values.copy()
+    values[list(where)] = with_
+    return values
+
+
 def one(layout, t, u, y):
     [record] = records_from_arrays(layout, [("run", t, u, y)])
     return record
@@ -252,9 +259,8 @@ def test_nearly_the_same_rate_is_the_same(layout):
         (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["decreases at sample 3001", "two runs"]),
         (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
         (lambda t, u, y: (t + 0.8 * H * (np.arange(N) % 2), u, y), ["scatter by 63%", "steady clock"]),
-        (lambda t, u, y: (np.where(np.arange(N) == 70, np.nan, t), u, y), ["time is not finite at sample 70"]),
-        (lambda t, u, y: (t, np.where(np.arange(N) == 71, np.inf, u), y), ["input is not finite at sample 71"]),
-        (lambda t, u, y: (t, u, np.where(np.arange(N) % 100 == 72, np.nan, y)), ["output is not finite at sample 72 (60 such"]),
+        (lambda t, u, y: (t, holes(u, range(71, 77)), y), ["input is not finite at 6 samples (first at sample 71, at most 6 in a"]),
+        (lambda t, u, y: (t, u, holes(y, range(72, N - 1, 40))), ["output is not finite at 149", "2% in all are interpolated"]),
         (lambda t, u, y: (t, u, y * np.nan), ["no sample is finite"]),
         (lambda t, u, y: (t, 0 * u + 0.2, y), ["input is constant (0.2 N.m)", "[input] column"]),
         (lambda t, u, y: (t, u, 0 * y + 3.0), ["nothing moves", "[output] column"]),
@@ -359,7 +365,7 @@ def test_the_same_record_in_another_format_is_a_copy(layout, message):
 def test_masked_samples_are_missing(layout, message):
     t, u, y = motion()
     assert len(one(layout, t, u, np.ma.masked_where(t < 0.01, y))) == N - 10
-    assert "input is not finite at sample 70" in message(lambda: one(layout, t, np.ma.masked_where(t == t[70], u), y))
+    only(one(layout, t, np.ma.masked_where(t == t[70], u), y), "input is not finite at 1 samples (first at sample 70")
 
 
 def test_a_record_made_by_hand_is_checked(layout, message):
@@ -423,6 +429,26 @@ def test_holes_at_the_ends_are_cut_off(layout):
     only(record, "3 samples at the start and 5 at the end")
     assert len(record) == N - 8
     assert record.time[0] == pytest.approx(3 * H)
+
+
+def test_a_few_holes_are_interpolated_and_said(layout):
+    t, u, y = motion()
+    record = one(layout, holes(t, [70], np.inf), holes(u, [900, 901]), holes(y, range(72, 77)))
+    assert [line.split(" samples ")[0] for line in said(record)] == [
+        "record run: time is not finite at 1", "record run: input is not finite at 2", "record run: output is not finite at 5",
+    ]  # fmt: skip
+    assert "first at sample 72, at most 5 in a row); interpolated" in said(record)[2]
+    np.testing.assert_allclose(record.y, y, atol=1e-4)
+    np.testing.assert_allclose(record.u, u, atol=1e-4)
+    np.testing.assert_allclose(record.time, t, atol=1e-9)
+    assert len(record) == N
+
+
+def test_what_the_reader_repaired_is_said(layout, tmp_path):
+    np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,u,theta", comments="", footer="9.9,1")
+    (tmp_path / "r.csv").write_text((tmp_path / "r.csv").read_text().rstrip())
+    only_one = read_records(layout, tmp_path / "r.csv")[0]
+    assert "record r: the last line has 2 of 3 values; left out" in only_one.findings
 
 
 def test_a_coasting_record_beside_a_driven_one(layout):
@@ -603,8 +629,12 @@ def test_a_velocity_besides_the_position_is_treated_alike(tree, tmp_path, messag
     assert record.velocity is not None
     assert len(record.velocity) == len(record.y)
     np.testing.assert_allclose(record.velocity, np.interp(record.time, uneven, v), atol=2e-3)
-    np.savez(tmp_path / "hole.npz", **columns | {"v": np.where(np.arange(N) == 70, np.nan, v)})
-    assert "velocity is not finite at sample 70" in message(lambda: records.read_record(layout, tmp_path / "hole.npz"))
+    for long, words in ((1, "1 samples (first at sample 70"), (6, None)):
+        np.savez(tmp_path / "hole.npz", **columns | {"v": holes(v, range(70, 70 + long))})
+        if words:
+            assert f"velocity is not finite at {words}" in records.read_record(layout, tmp_path / "hole.npz").findings[0]
+        else:
+            assert "velocity is not finite at 6" in message(lambda: records.read_record(layout, tmp_path / "hole.npz"))
     np.savez(tmp_path / "end.npz", **columns | {"v": np.where(np.arange(N) > N - 4, np.nan, v)})
     assert "and 3 at the end are not finite" in records.read_record(layout, tmp_path / "end.npz").findings[0]
 

@@ -1,0 +1,199 @@
+"""Files that hold arrays: MAT of all versions, HDF5, NPZ, NPY, Parquet, and spreadsheets."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterator, Mapping
+from datetime import date, datetime, timedelta
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+from zipfile import ZipFile, is_zipfile
+
+import numpy as np
+
+from bristle.common.columns import LARGEST_CONTENT, Columns, columns_of, in_seconds, must_fit
+from bristle.common.delimited import read_rows
+from bristle.common.errors import BristleError
+
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+HDF5_OFFSETS = (0, 512)  # bytes: where it stands; before it, MATLAB writes a line of text
+NPY_MAGIC = b"\x93NUMPY"
+MAT_HEADER, MAT_COMPRESSED = 128, 15  # bytes before the first element of a MAT file; type of a compressed element
+MAT_ORDERS: dict[Literal["little", "big"], bytes] = {
+    "little": b"\x00\x01IM",
+    "big": b"\x01\x00MI",
+}  # end of that header: version and order of the bytes
+UNPACKED_CHUNK = 2**20  # bytes unpacked at a time
+
+
+# -- MAT and HDF5 --------------------------------------------------------------------------------------------------------
+def read_mat(path: Path) -> Columns:
+    """Return the vectors of a MAT file, those of structs as ``struct.field``."""
+    from scipy.io import loadmat
+
+    with path.open("rb") as stream:
+        if _is_hdf5(stream):
+            return read_hdf5(path)
+        must_fit(path, _unpacked_size(stream))
+        stream.seek(0)
+        found = loadmat(stream, simplify_cells=True)
+    return columns_of(path, dict(_flat({k: v for k, v in found.items() if not k.startswith("__")})), "(:,{})")
+
+
+def _is_hdf5(stream: BinaryIO) -> bool:
+    for offset in HDF5_OFFSETS:
+        stream.seek(offset)
+        if stream.read(len(HDF5_MAGIC)) == HDF5_MAGIC:
+            return True
+    return False
+
+
+def _unpacked_size(stream: BinaryIO) -> int:
+    """Return how many bytes the elements of a MAT file hold, as far as the limit: each is unpacked once and not kept."""
+    stream.seek(MAT_HEADER - len(MAT_ORDERS["little"]))
+    mark = stream.read(len(MAT_ORDERS["little"]))
+    order = next((order for order, written in MAT_ORDERS.items() if written == mark), None)
+    if order is None:  # version 4, which is not compressed, or no MAT file
+        return stream.seek(0, 2)
+    size = 0
+    while len(tag := stream.read(8)) == 8 and size <= LARGEST_CONTENT:
+        kind, length = (int.from_bytes(part, order) for part in (tag[:4], tag[4:]))
+        content = stream.read(length)
+        if kind != MAT_COMPRESSED:
+            size += length
+            continue
+        unpacker = zlib.decompressobj()
+        while content and size <= LARGEST_CONTENT:
+            size += len(unpacker.decompress(content, UNPACKED_CHUNK))
+            content = unpacker.unconsumed_tail
+    return size
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Give what a tree of structs holds; the elements of an array of structs are numbered from 1."""
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        elif isinstance(value, list) and value and all(isinstance(each, Mapping) for each in value):
+            for number, each in enumerate(value, start=1):
+                yield from _flat(each, f"{name}({number}).")
+        elif isinstance(value, np.ndarray) and value.size and all(isinstance(each, dict) for each in value.flat):
+            for number, each in enumerate(value.flat, start=1):
+                yield from _flat(each, f"{name}({number}).")
+        else:
+            yield name, value
+
+
+def read_hdf5(path: Path) -> Columns:
+    """Return the vectors of an HDF5 file, which a MAT file of version 7.3 is; those of groups as ``group.name``."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    other: dict[str, str] = {}
+    size = 0
+    with path.open("rb") as stream, h5py.File(stream, "r") as file:
+
+        def visit(name: str, item: Any) -> None:
+            nonlocal size
+            if name.startswith("#") or not isinstance(item, h5py.Dataset):
+                return
+            name, kind = name.replace("/", "."), item.attrs.get("MATLAB_class", b"")
+            if item.dtype.kind not in "fiu" or kind in (b"char", b"cell", b"logical"):
+                other[name] = "text" if kind == b"char" or item.dtype.kind in "SO" else kind.decode() or "no numbers"
+                return
+            size += 8 * math.prod(item.shape or (0,))
+            must_fit(path, size, len(found))
+            found[name] = item[()]
+
+        file.visititems(visit)
+    columns = columns_of(path, found, "(:,{})")
+    columns.unusable.update(other)
+    return columns
+
+
+# -- NumPy ---------------------------------------------------------------------------------------------------------------
+def read_npz(path: Path) -> Columns:
+    """Return the vectors of an NPZ archive."""
+    with path.open("rb") as stream:
+        if not is_zipfile(stream):
+            raise BristleError(f"record {path}: is no NPZ archive; save it with numpy.savez")
+        must_fit(path, *_zip_size(stream))
+        stream.seek(0)
+        with np.load(stream, allow_pickle=False) as archive:
+            return columns_of(path, dict(archive))
+
+
+def read_npy(path: Path) -> Columns:
+    """Return the columns, or the rows if these are the longer, of a matrix."""
+    must_fit(path, path.stat().st_size)
+    with path.open("rb") as stream:
+        if stream.read(len(NPY_MAGIC)) != NPY_MAGIC:
+            raise BristleError(f"record {path}: is no array; save it with numpy.save")
+        stream.seek(0)
+        return columns_of(path, {"array": np.load(stream, allow_pickle=False)})
+
+
+def _zip_size(stream: BinaryIO) -> tuple[int, int]:
+    """Return the unpacked size [bytes] and the number of the files in an archive."""
+    with ZipFile(stream) as archive:
+        files = archive.infolist()
+    return sum(each.file_size for each in files), len(files)
+
+
+# -- Parquet and spreadsheets --------------------------------------------------------------------------------------------
+def read_parquet(path: Path) -> Columns:
+    """Return the columns of numbers and timestamps of a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with path.open("rb") as stream:
+        file = pq.ParquetFile(stream)
+        schema = file.schema_arrow
+        clocks = [field.name for field in schema if pa.types.is_timestamp(field.type)]
+        numeric = [field.name for field in schema if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
+        chosen = [*numeric, *clocks]
+        must_fit(path, 8 * file.metadata.num_rows * len(chosen), len(schema))
+        table = file.read(columns=chosen)
+    other = {field.name: f"{field.type} values" for field in schema if field.name not in chosen}
+    columns = {name: table[name].to_numpy().astype(float) for name in numeric}
+    return Columns(columns | {name: in_seconds(table[name].to_numpy()) for name in clocks}, other, clocks=clocks)
+
+
+def read_xlsx(path: Path) -> Columns:
+    """Return the columns of the first sheet of a workbook that holds a table."""
+    from openpyxl import load_workbook
+
+    with path.open("rb") as stream:
+        if not is_zipfile(stream):
+            raise BristleError(f"record {path}: is no XLSX workbook; save it as .xlsx or .csv")
+        must_fit(path, _zip_size(stream)[0])
+        stream.seek(0)
+        book = load_workbook(stream, read_only=True, data_only=True)
+        try:
+            for sheet in book.worksheets:
+                sheet.reset_dimensions()  # some programs write wrong ones
+                if rows := list(_rows(path, sheet)):
+                    return read_rows(path, rows)
+        finally:
+            book.close()
+    raise BristleError(f"record {path}: no sheet holds a table; write the column names in the first line and numbers below")
+
+
+def _rows(path: Path, sheet: Any) -> Iterator[list[str]]:
+    """Give the rows of a sheet as text, as far as a file may hold."""
+    count = 0
+    for row in sheet.iter_rows(values_only=True):
+        count += len(row)
+        must_fit(path, 8 * count, len(row))
+        yield [_cell(value) for value in row]
+
+
+def _cell(value: object) -> str:
+    """Return the value of a cell as text."""
+    if value is None:
+        return ""
+    if isinstance(value, timedelta):
+        return repr(value.total_seconds())
+    return value.isoformat() if isinstance(value, date | datetime) else str(value)

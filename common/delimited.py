@@ -1,0 +1,243 @@
+"""Tables of text: CSV, tab-separated and aligned columns as loggers, spreadsheets and oscilloscopes write them."""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bristle.common.clocks import is_stamp, seconds
+from bristle.common.columns import Array, Columns, must_fit
+from bristle.common.errors import BristleError
+from bristle.common.unit_names import unit_symbol
+
+SNIFFED_LINES = 500  # lines: from the first ones the separator, the header and the columns of numbers are found
+SEPARATORS = ("\t", ";", ",", "")  # between columns; the empty one stands for spaces
+REMARK = "#%"  # a line of the header or above may begin with these
+BLANKS = frozenset({"", "-", "--", "---", "nan", "na", "n/a", "#n/a", "#nv", "null", "none"})  # fields without a value
+SHOWN_FIELD = 30  # letters of a field that an error shows at most
+
+_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?$")
+_WORD_WITH_UNIT = re.compile(r"\S+(?:\s?\[[^\]]*\]|\s?\([^)]*\))?")
+Rows = Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class _Heading:
+    """What stands above the numbers: names and units of the columns, the index of the first row of numbers."""
+
+    names: list[str]
+    units: dict[str, str]
+    first: int
+
+
+def read_delimited(path: Path) -> Columns:
+    """Return the columns of a file of text."""
+    must_fit(path, path.stat().st_size)
+    lines = _text(path).splitlines()
+    if not any(map(str.strip, lines)):
+        raise BristleError(f"record {path}: is empty; write the column names in the first line and numbers below")
+    sample = lines[:SNIFFED_LINES]
+    mark = _separator(sample)
+    split = list(_split(sample, mark))
+    must_fit(path, 0, max(map(len, split)))
+    heading = _heading(path, split, mark, sample)
+    comma = mark != "," and any(_COMMA.match(field.strip()) for row in split[heading.first :] for field in row)
+    table = _fast(lines[heading.first :], mark, comma)
+    if table.shape[1] == len(heading.names):
+        return Columns({name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(heading.names)}, units=heading.units)
+    return _columns(path, list(_split(lines, mark)), heading)
+
+
+def read_rows(path: Path, rows: Rows) -> Columns:
+    """Return the columns of a table whose fields are separated already, as those of a spreadsheet."""
+    must_fit(path, 0, max(map(len, rows), default=0))
+    return _columns(path, rows, _heading(path, rows[:SNIFFED_LINES], ",", []))
+
+
+def _text(path: Path) -> str:
+    """Return the text of a file, in UTF-8, in UTF-16, or in the 8-bit code of Western spreadsheets."""
+    content = path.read_bytes()
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16")
+    zeros = content[:2000].count(0)
+    if zeros > len(content[:2000]) // 4:
+        return content.decode("utf-16-be" if content[0] == 0 else "utf-16-le")
+    if zeros:
+        raise BristleError(f"record {path}: is no text; give it the suffix of its format, or save it as CSV")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
+# -- fields --------------------------------------------------------------------------------------------------------------
+def _split(lines: Sequence[str], mark: str) -> Iterator[list[str]]:
+    """Give the fields of each line."""
+    for line in lines:
+        if not mark:
+            yield line.split()
+        elif '"' in line:
+            yield next(csv.reader([line], delimiter=mark), [])
+        else:
+            yield line.split(mark) if line.strip() else []
+
+
+def _number(text: str) -> float:
+    """Return a number with a decimal point or comma; raise ValueError if it is none."""
+    text = text.strip()
+    return float(text.replace(",", ".", 1)) if _COMMA.match(text) else float(text)
+
+
+def is_number(text: str) -> bool:
+    """Return whether a text is a number with a decimal point."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _usable(text: str) -> bool:
+    """Return whether a field is a number or a timestamp."""
+    return is_number(text) or _COMMA.match(text.strip()) is not None or is_stamp(text)
+
+
+def _blank(text: str) -> bool:
+    return text.strip().lower() in BLANKS
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """Return the separator that makes most fields of the last lines numbers, in more than one column."""
+    filled = [line for line in lines if line.strip()]
+    best, most = ",", 0.0
+    for mark in SEPARATORS:
+        rows = list(_split(filled[len(filled) // 2 :], mark))
+        width = _width(rows)
+        fields = [field for row in rows if len(row) == width for field in row if field.strip()]
+        share = sum(map(_usable, fields)) / max(len(fields), 1) * sum(len(row) == width for row in rows) / len(rows)
+        if width > 1 and share > most:
+            best, most = mark, share
+    return best
+
+
+def _width(rows: Rows) -> int:
+    """Return the usual number of fields of a row."""
+    return Counter(len(row) for row in rows).most_common(1)[0][0] if rows else 0
+
+
+# -- header --------------------------------------------------------------------------------------------------------------
+def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Heading:
+    """Find the names of the columns, the row of units below them, if any, and the first row of numbers."""
+    filled = [k for k, row in enumerate(rows) if any(field.strip() for field in row)]
+    below = [rows[k] for k in filled[len(filled) // 2 :]]
+    width = _width(below)
+    usable = [[_usable(row[j]) for row in below if len(row) == width and not _blank(row[j])] for j in range(width)]
+    numeric = [j for j, found in enumerate(usable) if found and 2 * sum(found) >= len(found)]
+    first = next((k for k in filled if numeric and _is_data(rows[k], width, numeric)), None)
+    if first is None:
+        raise BristleError(f"record {path}: no data below the line of column names; write numbers there")
+    above = [k for k in filled if k < first]
+    if not above:
+        raise BristleError(f"record {path}: the first line holds numbers; write the column names there")
+    header, units = _fields(rows, above[-1], mark, lines, width), []
+    if len(above) > 1 and _is_units(header):
+        named = _fields(rows, above[-2], mark, lines, width)
+        if len(named) >= len(header) and not _is_units(named):
+            header, units = named, header
+    if len(header) != width and not (len(header) == width - 1 and all(_blank(row[-1]) for row in below if len(row) == width)):
+        line = first + 1
+        raise BristleError(f"record {path}: line {line} has {width} values, the header {len(header)}; correct that line")
+    names = [name or f"column {k}" for k, name in enumerate(header, start=1)]
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise BristleError(f"record {path}: column '{twice[0]}' is there twice; give each column its own name")
+    return _Heading(names, {name: unit for name, unit in zip(names, units, strict=False) if unit}, first)
+
+
+def _is_data(row: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
+    """Return whether a row holds numbers where the rows below it do."""
+    if len(row) != width:
+        return False
+    fields = [row[j] for j in numeric if not _blank(row[j])]
+    return bool(fields) and all(map(_usable, fields))
+
+
+def _fields(rows: Rows, k: int, mark: str, lines: Sequence[str], width: int) -> list[str]:
+    """Return the fields of a row of names or units; between spaces, a unit in brackets belongs to the name before it."""
+    row = list(rows[k])
+    if not mark:
+        text = lines[k].strip().lstrip(REMARK).strip()
+        splits: list[list[str]] = [re.split(r"\s{2,}|\t", text), _WORD_WITH_UNIT.findall(text), text.split()]
+        row = next((each for each in splits if len(each) == width), splits[-1])
+    elif row:
+        row[0] = row[0].lstrip(REMARK + " ")
+    row = [field.strip() for field in row]
+    while row and not row[-1] and len(row) > 1:
+        row.pop()
+    return row
+
+
+def _is_units(row: Sequence[str]) -> bool:
+    """Return whether all fields of a row are units, or in brackets as units are."""
+    fields = [field for field in row if not _blank(field)]
+    return bool(fields) and all(re.fullmatch(r"[\[(].*[\])]", field) or unit_symbol(field) for field in fields)
+
+
+# -- numbers -------------------------------------------------------------------------------------------------------------
+def _fast(lines: list[str], mark: str, comma: bool) -> Array:
+    """Return a table of nothing but numbers, read at the speed of C; of another, a table without columns."""
+    if comma:
+        lines = [line.replace(",", ".") for line in lines]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of no data
+            return np.loadtxt(lines, delimiter=mark or None, comments=None, quotechar='"', ndmin=2)
+    except ValueError:
+        return np.empty((0, 0))
+
+
+def _columns(path: Path, rows: Rows, heading: _Heading) -> Columns:
+    """Read field by field: slower, but fields may be blank, and what holds no numbers is named."""
+    width, found, findings = len(heading.names), [], []
+    numbers = [k for k in range(heading.first, len(rows)) if any(field.strip() for field in rows[k])]
+    for k in numbers:
+        row = rows[k]
+        surplus = len(row) - width
+        if surplus > 0 and all(_blank(field) for field in row[width:]):
+            row = row[:width]
+        elif surplus < 0 and k == numbers[-1] and k > heading.first:
+            findings.append(f"the last line has {len(row)} of {width} values; left out")
+            break
+        elif surplus:
+            raise BristleError(f"record {path}: line {k + 1} has {len(row)} values, the header {width}; correct that line")
+        found.append(row)
+    columns, unusable, clocks = {}, {}, []
+    for j, name in enumerate(heading.names):
+        fields = [row[j] for row in found]
+        values = _numbers(fields)
+        if values is None and (values := seconds(["" if _blank(field) else field for field in fields])) is not None:
+            clocks.append(name)
+        if values is None:
+            bad = next((k for k, field in enumerate(fields) if not _blank(field) and not _usable(field)), 0)
+            unusable[name] = f"text ('{fields[bad].strip()[:SHOWN_FIELD]}' in line {numbers[bad] + 1})"
+        else:
+            columns[name] = values
+    return Columns(columns, unusable, units=heading.units, clocks=clocks, findings=findings)
+
+
+def _numbers(fields: Sequence[str]) -> Array | None:
+    """Return fields as numbers, NaN where they are blank; None if one is neither."""
+    try:
+        return np.array(fields).astype(float)
+    except ValueError:
+        pass
+    try:
+        return np.array([np.nan if _blank(field) else _number(field) for field in fields])
+    except ValueError:
+        return None
