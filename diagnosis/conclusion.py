@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -21,7 +20,7 @@ from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, 
 from bristle.diagnosis.localisation.views import Share
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.report.text import Facts, experiment, statement, undetected
+from bristle.diagnosis.report.text import Facts, experiment, open_loop_line, statement, undetected
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
@@ -173,13 +172,17 @@ def _of_effect(name: str, parameters: Estimates) -> dict[str, answer.Estimate]:
     return {key.removeprefix(f"{name}."): e for key, e in parameters.items() if key.startswith(f"{name}.")}
 
 
-def as_diagnosis(case: Case, c: Conclusion, started: float, more: Additions) -> answer.Diagnosis:
-    """Return a conclusion as it is reported; `started` is when the work began [s, `time.perf_counter`]."""
+def as_diagnosis(case: Case, c: Conclusion, whole: answer.WholeRecords, more: Additions) -> answer.Diagnosis:
+    """Return a conclusion as it is reported, with what whole records say."""
     model, dataset = case.model, case.dataset
     remains = NOTHING_LEFT if c.proposal else c.remains  # not known before the wider bounds are tried
     poor = dataset.poor_excitation
     facts = Facts(c.verdict, c.gap, remains, c.effects, c.ties, c.parameters, c.unidentified, poor, model.wording)
-    lines = (f"{TIGHT_BOUNDS} Proposed: {c.proposal}.",) if c.proposal else statement(facts)
+    lines = (
+        (f"{TIGHT_BOUNDS} Proposed: {c.proposal}.",)
+        if c.proposal
+        else (*statement(facts), open_loop_line(whole, dataset.segments.seconds))
+    )
     found = [f for r in case.records for f in r.findings]
     own = [*bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c)]
     return answer.Diagnosis(
@@ -188,7 +191,7 @@ def as_diagnosis(case: Case, c: Conclusion, started: float, more: Additions) -> 
         excitation=excitation(model, case.records), findings=(*more.findings_before, *found, *own, *more.findings_after),
         base=c.base, parameters=c.own_parameters, rounds=tuple(_round(r) for r in c.rounds),
         undetected={} if c.proposal else _undetected(case, c), traces=_traces(dataset, case.base.fit, c.final.fit),
-        model=more.model or model, proposals=(c.proposal,) if c.proposal else (), seconds=time.perf_counter() - started,
+        model=more.model or model, proposals=(c.proposal,) if c.proposal else (), whole=whole,
         choices={name: _of_effect(name, e) for name, e in c.choices.items()},
         choice_parameters={name: {k: v for k, v in e.items() if not k.startswith(f"{name}.")} for name, e in c.choices.items()},
     )  # fmt: skip

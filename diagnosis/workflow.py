@@ -19,6 +19,7 @@ from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
 from bristle.diagnosis.selection.stepwise import search
+from bristle.diagnosis.whole.refit import refit_to_whole_records
 from bristle.records.clock import must_agree
 from bristle.records.record import Record
 
@@ -93,7 +94,11 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
             records = with_input_share(records, outcome.input_share)
         tell("residual", 0.85)
         found = conclude(prepared.case, outcome)
-        return as_diagnosis(prepared.case, found, started, prepared.additions(found))
+        tell("whole records", 0.9)
+        refitted, whole = refit_to_whole_records(prepared.case, found)
+        return replace(
+            as_diagnosis(prepared.case, refitted, whole, prepared.additions(found)), seconds=time.perf_counter() - started
+        )
 
 
 def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.metrics import mse_percent
 from bristle.fmus.host import Fmu
 from bristle.harness.loop import Drive
-from bristle.harness.metrics import mse_percent
 
 Array = NDArray[np.float64]
 

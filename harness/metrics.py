@@ -79,17 +79,6 @@ def check_quantities(parameters: Sequence[str], baselines: Sequence[str]) -> lis
     return found
 
 
-def mse_percent(measured: Array, predicted: Array) -> float:
-    """Return 100 var(measured - predicted) / var(measured); not a number if anything in it is not.
-
-    Source: dixit2008 eq. (25)
-    """
-    spread = float(np.var(measured))
-    with np.errstate(all="ignore"):
-        value = 100.0 * float(np.var(measured - predicted)) / spread if spread > 0 else math.nan
-    return value if math.isfinite(value) else math.nan
-
-
 def error_percent(estimate: Array, true: Array | float) -> Array:
     """Return the signed error in percent of the true value."""
     with np.errstate(all="ignore"):

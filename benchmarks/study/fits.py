@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from standard_records import RECORD_STEP
 
 from bristle.common.errors import SimulationError
-from bristle.harness.metrics import mse_percent
+from bristle.common.metrics import mse_percent
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.plant.servo import servo_program

@@ -160,8 +160,9 @@ def evaluate(problem: Problem, point: Point) -> Fit:
     simulated, sens, good, initial = simulator.run(values, point.initial, jacobian=True)
     assert sens is not None
     good = good & (np.abs(simulated).max(axis=1) < FAILED_OUTPUT) & (np.abs(sens).max(axis=(1, 2)) < FAILED_OUTPUT)
-    residual = np.where(good[:, None], problem.measured - simulated, 0.0)
-    sens = np.where(good[:, None, None], sens, 0.0)
+    known = good[:, None] & np.isfinite(problem.measured)  # a stretch may be longer than what was measured
+    residual = np.where(known, problem.measured - simulated, 0.0)
+    sens = np.where(known[:, :, None], sens, 0.0)
     index = [simulator.names.index(f.name) for f in point.free]
     scale = np.array([values[f.name] if f.factor else 1.0 for f in point.free])
     both = np.matmul(problem.noise.whiten, sens)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ INTERVAL_FACTOR = 2.0  # ratio of an interval's width to the one that the covari
 EDGE_INTERVAL_FACTOR = 5.0  # the same for effects that act beyond a place or a level only, and for couplings
 PARABOLA_TRIALS = 6  # evaluations for each coefficient of the parabola through a nonsmooth likelihood
 CONTACT_SPREAD = 0.05  # relative: spread of these evaluations if a load has free play
+RECORD_BLOCKS = 4  # parts of a stretch of a record whose scores count as independent
 WIDEST_HALF_INTERVAL = 1.0  # factor of e, or s: widest half interval that the parabola gives
 
 
@@ -41,6 +43,36 @@ def covariance(fit: Fit) -> Array:
     inverse = np.linalg.pinv(fit.information, rcond=1e-14, hermitian=True)
     n = max(int(np.count_nonzero(fit.weight)) - len(fit.free), 1)
     return np.asarray(inverse @ (scores.T @ scores) @ inverse * (n + len(fit.free)) / n)
+
+
+def block_covariance(fit: Fit) -> Array:
+    """Return the covariance of the parameters of a fit to long stretches (free, free), on the scale each moves on.
+
+    Output errors of a long simulation are strongly correlated in time: the spread of the scores of blocks of it stands for that.
+    Source: white1982 (sandwich), kunsch1989 (blocks).
+    """
+    own = fit.elimination.project(fit.by_parameter)
+    inverse = np.linalg.pinv(np.einsum("sbp,sbq->pq", own, own), rcond=1e-14, hermitian=True)
+    blocks = [np.array_split(each, RECORD_BLOCKS, axis=1) for each in (own, fit.white)]
+    scores = np.concatenate([np.einsum("sbp,sb->sp", columns, white) for columns, white in zip(*blocks, strict=True)])
+    n = len(scores)
+    return np.asarray(inverse @ (scores.T @ scores) @ inverse * n / max(n - len(fit.free), 1))
+
+
+def refitted_estimates(model: Model, fit: Fit, before: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """Return estimates with those parameters replaced that were fitted to long stretches.
+
+    Their intervals hold at both ends: they reach over what the segments gave (`before`) and over what the stretches give.
+    """
+    found = dict(before)
+    for f, deviation in zip(fit.free, np.sqrt(np.maximum(np.diag(block_covariance(fit)), 0.0)), strict=True):
+        value, wide, first = fit.values[f.name], 1.96 * INTERVAL_FACTOR * deviation, before[f.name]
+        ends = [value * math.exp(-wide), value * math.exp(min(wide, 50.0))] if f.factor else [value - wide, value + wide]
+        ends += [first.value, *(first.ci95 or ())]
+        low, high = model.allowed(f.name)
+        ci95 = float(max(min(ends), low)), float(min(max(ends), high))
+        found[f.name] = Estimate(float(value), first.unit, ci95, f.at_bound(value))
+    return found
 
 
 def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[str, float]:

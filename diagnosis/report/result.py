@@ -103,6 +103,49 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class RecordError:
+    """Errors of a whole record simulated in open loop [`unit`] and FIT [%]; NaN where the simulation fails, FIT at rest too."""
+
+    record: str
+    unit: str
+    rms_before: float
+    rms_after: float
+    fit_before: float
+    fit_after: float
+
+
+@dataclass(frozen=True)
+class HorizonError:
+    """Root mean square errors over all records, simulated anew after so many seconds; `segments` as fitted to segments."""
+
+    seconds: float
+    before: float
+    segments: float
+    after: float
+
+
+@dataclass(frozen=True)
+class WholeRecords:
+    """The models before and after the search over whole records.
+
+    `refitted_to`: horizon [s] that the parameters were refitted to; 0 if they are those of the segments. `segment_parameters`: what
+    the segments gave, effects included.
+    """
+
+    records: tuple[RecordError, ...]
+    horizons: tuple[HorizonError, ...]
+    refitted_to: float
+    whole: bool  # whether that is the longest record
+    segment_parameters: dict[str, Estimate]
+    traces: tuple[Trace, ...]  # in open loop, a value a sample
+
+    @property
+    def refitted(self) -> bool:
+        """True if the parameters are not those of the segments."""
+        return self.refitted_to > 0
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result of a diagnosis; `to_dict` gives the content of diagnosis.json.
 
@@ -145,6 +188,8 @@ class Diagnosis:
         How long it took [s].
     choices, choice_parameters : dict of str to dict of str to Estimate
         Of each member of a tie, as if it had been named: its parameters, and those of the model beside it.
+    whole : WholeRecords or None
+        Errors of whole records in open loop, before and after; None if nothing was searched.
     """
 
     verdict: str
@@ -167,6 +212,7 @@ class Diagnosis:
     seconds: float = 0.0
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    whole: WholeRecords | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
@@ -196,9 +242,18 @@ class Diagnosis:
                 "undetected": dict(self.undetected),
                 "choices": {name: _numbers(found) for name, found in self.choices.items()},
                 "seconds": self.seconds,
+                "open_loop": [asdict(r) for r in self.whole.records] if self.whole else [],
+                "whole_record": _whole(self.whole) if self.whole else None,
             }
         )  # fmt: skip
         return content
+
+
+def _whole(found: WholeRecords) -> dict[str, Any]:
+    return {
+        "refitted": found.refitted, "refitted_to": found.refitted_to if found.refitted else None,
+        "horizons": [asdict(h) for h in found.horizons], "segment_parameters": _numbers(found.segment_parameters),
+    }  # fmt: skip
 
 
 def _numbers(estimates: dict[str, Estimate]) -> dict[str, dict[str, Any]]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import Estimate, Gap, Named
+from bristle.diagnosis.report.result import Estimate, Gap, Named, WholeRecords
 from bristle.diagnosis.selection.detection_limit import Undetected
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -185,6 +185,22 @@ def _error(facts: Facts) -> str:
     if after >= before:
         changes = f"does not fall ({before:.3g} {gap.output_unit} before, {after:.3g} {gap.output_unit} after): {OUTLIER_NOTE}"
     return f"The rms error of the output on held-out segments {changes}."
+
+
+def open_loop_line(whole: WholeRecords, segment: float) -> str:
+    """Return the line on whole records; `segment` is the length of a segment [s]."""
+    unit, last = whole.records[0].unit, whole.horizons[-1]
+    if not math.isfinite(last.after):
+        return "In open loop over whole records the simulation fails: use the model over short times only."
+    found = f"Simulated in open loop over whole records, the model is {last.after:.3g} {unit} rms from what was measured"
+    if last.before != last.after:
+        found += f", {last.before:.3g} {unit} before" if math.isfinite(last.before) else "; before, the simulation failed"
+    if not whole.refitted:
+        why = f"a refit to more than segments of {segment:.3g} s does not lower the error where it was not fitted"
+        return f"{found}. Its parameters are those of the segments: {why}."
+    to = "whole records" if whole.whole else f"stretches of {whole.refitted_to:.3g} s, the longest that the simulation stays with"
+    usual = f"with those of segments of {segment:.3g} s the error is {last.segments:.3g} {unit}"
+    return f"{found}. Its parameters were refitted to {to}; {usual}."
 
 
 def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str:

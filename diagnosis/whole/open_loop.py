@@ -1,0 +1,232 @@
+"""Simulations over long stretches of records, up to whole ones: their error, and parameters refitted to them.
+
+A model that is fitted to short segments may drift away over a whole record: a segment hardly shows what acts slowly. Fitted to
+the output error of whole records from the start, a fit may end far from the optimum, or not find one. So the horizon grows,
+each fit beginning where the last one ended, as far as the simulation stays with the records.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bristle.common.metrics import rms
+from bristle.common.table import Array
+from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Grid, Piece, Segments, cut, smooth
+from bristle.diagnosis.estimation.initial_states import refine_initial_states
+from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
+from bristle.diagnosis.estimation.noise import white_noise
+from bristle.diagnosis.estimation.optimiser import refit
+from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo
+from bristle.plant.effects import effect as find_effect
+from bristle.plant.effects import effects as all_effects
+from bristle.records.record import Record
+
+LONG_BINS = 500  # averages of a stretch at most
+GROWTH = 4.0  # ratio of a horizon to the one before
+WHOLE_RATIO = 1.5  # a horizon that is this close to the longest record's length is left out before that
+LEVEL_PASSES = 3  # fits to a horizon, each with the error of the one before as its noise
+LEVEL_FALL = 0.98  # ratio of the error to the one before from which on these fits end
+START_STEPS = 2  # steps of the starts of stretches where no parameter is fitted
+GENERALISES = 1.2  # factor by which the squared error falls in records that took no part in a refit, for it to be kept
+
+
+@dataclass(frozen=True)
+class Records:
+    """Records of one sampling period, and what the sensor's noise is at least [unit of the output]."""
+
+    all: tuple[Record, ...]
+    velocity: bool
+    resolution: float
+    least: float
+
+    @classmethod
+    def of(cls, dataset: Dataset, records: Sequence[Record]) -> Records:
+        """Return those of the records that a dataset holds."""
+        names = {piece.name for piece in dataset.segments.pieces}
+        kept = tuple(r for r in records if r.name in names)
+        return cls(kept, dataset.segments.velocity, dataset.resolution, dataset.least_sd)
+
+    @property
+    def seconds(self) -> float:
+        """Length of the longest record [s]."""
+        return max(len(r) * r.h for r in self.all)
+
+    def halves(self) -> tuple[Records, Records]:
+        """Return every second record and the others or, of a single record, its two halves."""
+        if len(self.all) > 1:
+            return replace(self, all=self.all[::2]), replace(self, all=self.all[1::2])
+        middle = len(self.all[0]) // 2
+        return replace(self, all=(part(self.all[0], slice(middle)),)), replace(self, all=(part(self.all[0], slice(middle, None)),))
+
+    def horizons(self, segment: float) -> list[float]:
+        """Return growing horizons, from above the length of a segment [s] to the length of the longest record."""
+        found, longest = [], self.seconds
+        while WHOLE_RATIO * GROWTH * segment < longest:
+            segment *= GROWTH
+            found.append(segment)
+        return [*found, longest]
+
+    def stretches(self, seconds: float, bins: int = LONG_BINS) -> Segments:
+        """Return the records cut into stretches of so many seconds or, if they are shorter, whole ones, of at most `bins` averages.
+
+        A stretch is simulated from its start to its end; averages beyond the end of a record are NaN.
+        """
+        h = self.all[0].h
+        length = min(max(2, round(seconds / h)), max(len(r) for r in self.all))
+        width = -(-length // bins)
+        grid = Grid(h, width, -(-length // width), self.velocity)
+        pieces = tuple(_stretches_of(r, grid, self.resolution) for r in self.all)
+        return Segments(h, width, grid.bins, self.velocity, pieces)
+
+
+def part(record: Record, which: slice) -> Record:
+    """Return a part of a record."""
+    velocity = None if record.velocity is None else record.velocity[which]
+    return replace(record, time=record.time[which], u=record.u[which], y=record.y[which], velocity=velocity)
+
+
+def _stretches_of(record: Record, grid: Grid, resolution: float) -> Piece:
+    length = grid.bins * grid.width
+    n = max(1, round(len(record) / length))
+    more = max(0, n * length - len(record))
+    u, y = np.pad(record.u, (0, more))[: n * length], np.pad(record.y, (0, more), mode="edge")[: n * length]
+    piece = cut(record.name, float(record.time[0]), u, y, grid, resolution)
+    if not grid.velocity:  # at the start of a record the smoothed velocity lags or leads by half a window
+        ahead = np.arange(n) * length + max(2, round(STATE_SMOOTHING / record.h))
+        turning = math.sqrt(grid.bins) * np.abs(smooth(y, record.h, STATE_SMOOTHING, 1)[ahead] - piece.initial[:, 1])
+        piece = replace(piece, initial_sd=piece.initial_sd + np.column_stack([np.zeros(n), turning]))
+    ends = grid.width * (1 + np.arange(piece.measured.size)).reshape(piece.measured.shape)
+    return replace(piece, measured=np.where(ends <= len(record), piece.measured, np.nan))
+
+
+# -- simulation --------------------------------------------------------------------------------------------------------------
+def open_loop_servo(servo: Servo) -> Servo:
+    """Return a servo with what long simulations determine free: its own parameters, and the strength of each effect.
+
+    The form of an effect (where, how often, when it acts) shows within segments, and a long simulation has many optima in it.
+    Bristles that stand for nothing but the sensor's step are left out.
+    """
+    strengths = {f"{name}.{p.name.split('.')[-1]}" for name in servo.effects for p in find_effect(name).parameters[:1]}
+    free = tuple(f for f in servo.free if f.name in strengths or f.name.split(".")[0] not in all_effects())
+    return replace(servo, free=free, rigid=servo.rigid and OWN_BRISTLES in servo.effects)
+
+
+def open_loop_problem(segments: Segments, level: float) -> Problem:
+    """Return the problem of plain output errors of so much rms; a stretch is an outlier only with more than tenfold squares.
+
+    The error of a long simulation grows from its start on, where it is 0 only because it begins there. The position at the start
+    is a nuisance therefore, and known no better than any other.
+    """
+    wide = level * math.sqrt(segments.bins)  # so wide, the squares of a whole stretch count as one of a normal error
+    deviation = segments.initial_sd
+    deviation[:, 0] = np.maximum(deviation[:, 0], wide)
+    everything = np.ones(len(deviation), dtype=bool)
+    return replace(Problem.of(segments, white_noise(segments.bins, wide), everything), initial_sd=deviation)
+
+
+def fitted_error(fit: Fit) -> float:
+    """Return the rms error over all stretches [unit of the output]; infinite if the simulation of one failed."""
+    known = np.isfinite(fit.simulator.segments.measured)
+    return rms(fit.residual[known]) if fit.good.all() else math.inf
+
+
+def with_fitted_starts(servo: Servo, values: Mapping[str, float], segments: Segments, least: float) -> Fit:
+    """Return the simulation of stretches with given parameters, their starts fitted; `least`: error that counts as none."""
+    point = Point(servo.simulator(segments), (), dict(values), segments.initial)
+    simulated, _, good, _ = point.simulator.run(values, segments.initial)
+    error = (segments.measured - simulated)[good]
+    level = rms(error[np.isfinite(error)])
+    problem = open_loop_problem(segments, level if level > least else least)
+    return refine_initial_states(problem, evaluate(problem, point), START_STEPS)
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """Whole records simulated from their start to their end: measured and simulated output of each, arrays (n,)."""
+
+    measured: tuple[Array, ...]
+    simulated: tuple[Array, ...]  # NaN where the simulation failed
+
+    @property
+    def error(self) -> float:
+        """The rms error over all records; NaN if the simulation of one failed."""
+        return rms(np.concatenate([y - seen for y, seen in zip(self.measured, self.simulated, strict=True)]))
+
+
+def open_loop(servo: Servo, values: Mapping[str, float], records: Records, seconds: float) -> OpenLoop:
+    """Return the outputs of a servo, sample by sample, that begins anew after so many seconds; starts are fitted."""
+    fit = with_fitted_starts(servo, values, records.stretches(seconds), records.least)
+    s = fit.simulator.segments
+    fine = records.stretches(s.seconds, s.bins * s.width)
+    simulated, _, good, _ = servo.simulator(fine).run(values, fit.initial)
+    simulated = np.where(good[:, None], simulated, np.nan)
+    parts = np.split(simulated, np.cumsum([len(piece.measured) for piece in fine.pieces])[:-1])
+    pairs = [(r.y[: p.size], p.ravel()[: len(r)]) for r, p in zip(records.all, parts, strict=True)]
+    return OpenLoop(tuple(y for y, _ in pairs), tuple(seen for _, seen in pairs))
+
+
+# -- refit -------------------------------------------------------------------------------------------------------------------
+def refit_horizon(servo: Servo, values: Mapping[str, float], segments: Segments, least: float) -> Fit | None:
+    """Return the fit of parameters and starts to plain output errors; None if it does not stay with the records all the while."""
+    fit = with_fitted_starts(servo, values, segments, least)
+    level = first = fitted_error(fit)
+    for _ in range(LEVEL_PASSES if stays(fit) else 0):
+        problem = open_loop_problem(segments, max(level, least))
+        fit = refit(problem, Point(fit.simulator, servo.free, fit.values, fit.initial))
+        before, level = level, fitted_error(fit)
+        if not level < LEVEL_FALL * before:
+            break
+    return fit if stays(fit) and level <= first else None
+
+
+def stays(fit: Fit) -> bool:
+    """True if a simulation stays with the records: it is closer to each stretch, on the whole, than the stretch's mean is."""
+    measured = fit.simulator.segments.measured
+    known = np.isfinite(measured)
+    apart = measured - np.nanmean(measured, axis=1, keepdims=True)
+    return fitted_error(fit) < rms(apart[known])
+
+
+@dataclass(frozen=True)
+class Grown:
+    """A fit to the longest horizon that the simulation stayed with; None where there is no such horizon."""
+
+    seconds: float  # the horizon; 0 where there is none
+    whole: bool  # whether that is the longest record
+    fit: Fit | None
+
+
+def refit_growing(servo: Servo, values: Mapping[str, float], records: Records, segment: float) -> Grown:
+    """Refit parameters on growing horizons, longer than a segment [s], as far as the simulation stays with the records."""
+    horizons = records.horizons(segment)
+    grown = Grown(0.0, False, None)
+    for seconds in horizons:
+        fit = refit_horizon(servo, values, records.stretches(seconds), records.least)
+        if fit is None:
+            break
+        grown, values = Grown(seconds, seconds == horizons[-1], fit), fit.values
+    return grown
+
+
+def generalises(servo: Servo, values: Mapping[str, float], records: Records, segment: float) -> bool:
+    """True if a refit to one half of the records lowers the error in the other half, both ways.
+
+    Over a whole record random disturbances add up to a drift, which a refit follows as well as it can. Only what it gains where it
+    was not fitted is due to the model. Source: stone1974 (cross-validation).
+    """
+    halves = records.halves()
+    for fitted, other in (halves, halves[::-1]):
+        grown = refit_growing(servo, values, fitted, segment)
+        if grown.fit is None:
+            return False
+        stretches = other.stretches(grown.seconds)
+        before, after = (
+            fitted_error(with_fitted_starts(servo, each, stretches, records.least)) for each in (values, grown.fit.values)
+        )
+        if not GENERALISES * after**2 <= before**2 or not math.isfinite(after):
+            return False
+    return True
