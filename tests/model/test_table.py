@@ -293,11 +293,7 @@ def test_timestamps_are_seconds(stamps, first, tmp_path):
     assert si_column("record r: time", columns, "Zeit", "s", None, "s").tolist() == [first, first + 0.5]
     with pytest.raises(BristleError, match=r"timestamps, which are read in s; write unit = \"s\""):
         si_column("record r: time", columns, "Zeit", "ms", None, "s")
-    assert (
-        text(tmp_path / "no.csv", "t,u\n" + 2 * " 2026-13-45 10:00:00,1\n")
-        .unusable["t"]
-        .startswith("text ('2026-13-45")
-    )
+    assert text(tmp_path / "no.csv", "t,u\n" + 2 * " 2026-13-45 10:00:00,1\n").unusable["t"].startswith("text ('2026-13-45")
 
 
 def test_timestamps_of_parquet_and_spreadsheets_are_seconds(tmp_path):
