@@ -50,5 +50,16 @@ def files_of(paths: Iterable[Path]) -> list[Path]:
     return found
 
 
+def pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
+    """Return the values of an option such as ``--unit COLUMN=UNIT`` by what stands before the last equals sign."""
+    found = {}
+    for text in texts:
+        name, mark, value = text.rpartition("=")
+        if not mark or not name or not value:
+            raise BristleError(f"{option} '{text}': is not NAME=VALUE; write for example {option} theta=deg")
+        found[name] = value
+    return found
+
+
 def _natural(path: Path) -> list[list[str | int]]:
     return [[int(text) if text.isdigit() else text.lower() for text in re.split(r"(\d+)", part)] for part in path.parts]

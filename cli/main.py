@@ -1,4 +1,4 @@
-"""The command line: list, build, run, reproduce, diagnose.
+"""The command line: list, build, run, reproduce, init, diagnose.
 
 Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an error, reported in one line.
 """
@@ -302,6 +302,36 @@ def reproduce(
     raise typer.Exit(PASS if content["verdict"] == "pass" else FAIL)
 
 
+# -- init ------------------------------------------------------------------------------------------------------------
+
+
+@app.command(
+    short_help="Propose a model file from measured records.",
+    epilog="Exit code 0: the model file is written; 2: an error.",
+)
+def init(
+    data: Annotated[list[Path], typer.Argument(help="measured files or patterns", metavar="FILE...", parser=_path)],
+    out: Annotated[Path, typer.Option(help="model file to write", metavar="MODEL.toml", parser=_path)] = Path("model.toml"),
+    time: Annotated[str | None, typer.Option(help="column of the time", metavar="COLUMN")] = None,
+    input_: Annotated[str | None, typer.Option("--input", help="column of the input", metavar="COLUMN")] = None,
+    output: Annotated[str | None, typer.Option(help="column of the output", metavar="COLUMN")] = None,
+    unit: Annotated[list[str] | None, typer.Option(help="unit of a column", metavar="COLUMN=UNIT")] = None,
+    force: Annotated[bool, typer.Option("--force", help="replace MODEL.toml if it exists")] = False,
+    debug: DebugOption = False,
+) -> None:
+    """Find time, input and output in measured files, estimate rough parameters, and write a commented model file."""
+    from bristle.cli.files import pairs
+    from bristle.diagnosis.proposal import propose
+    from bristle.diagnosis.proposal_text import next_command, summary, write_model
+
+    files = files_of(data)
+    found = propose(files, {"time": time, "input": input_, "output": output}, pairs("--unit", unit or []))
+    write_model(found, out, force)
+    for line in summary(found):
+        print(line)
+    print(f"{out}  next: {next_command(found, out)}")
+
+
 # -- diagnose --------------------------------------------------------------------------------------------------------
 
 
@@ -448,7 +478,7 @@ def _explain(error: BaseException) -> str:
     if isinstance(error, BristleError):
         return f"bristle: {error}"
     if type(error).__name__ == "NoArgsIsHelpError":
-        return "bristle: no command; choose one of list, build, run, reproduce, diagnose, or see bristle --help"
+        return "bristle: no command; choose one of list, build, run, reproduce, init, diagnose, or see bristle --help"
     if type(error).__name__ == "NoSuchOption":  # click also proposes options that are hardly alike
         name, known = getattr(error, "option_name", ""), getattr(error, "possibilities", None) or []
         error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]

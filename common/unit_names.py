@@ -9,7 +9,7 @@ from bristle.common.units import parse_unit
 
 COUNTS = "count"  # steps of an encoder: a unit of its own, whose value only the rig knows
 
-_WORDS = {
+_UNIT_WORDS = {
     "s": "s sec secs second seconds sekunde sekunden",
     "ms": "msec msecs millisecond milliseconds millisekunde millisekunden",
     "us": "µs μs usec usecs microsecond microseconds mikrosekunde mikrosekunden",
@@ -33,7 +33,7 @@ _WORDS = {
     "%": "percent prozent pct",
     COUNTS: "count counts cnt cnts inc incs increment increments inkr inkrement inkremente tick ticks step steps lsb digit digits",
 }
-_KNOWN = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+_KNOWN = {word: unit for unit, words in _UNIT_WORDS.items() for word in words.split()}
 _EXACT = {"Nm": "N.m", "mNm": "mN.m", "Ncm": "N.cm", "Nmm": "N.mm", "NM": "N.m", "U": "rev", "S": "s", "v": "V", "a": "A"}
 _PRODUCT = str.maketrans({"·": ".", "*": ".", "×": ".", "⋅": ".", "²": "2", "³": "3"})
 

@@ -7,19 +7,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bristle.common.arguments import as_paths
 from bristle.common.errors import BristleError
-from bristle.common.table import Array, read_columns, si_column
+from bristle.common.table import Array, Columns, read_columns, si_column
 from bristle.records.clock import clock, increasing, one_rate, period_of
 from bristle.records.layout import Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
+from bristle.records.resolution import common_step
 from bristle.records.sensor import MOTIONLESS_STEPS, compare_resolution, must_move, repaired, report_steps
 
 SMALLEST_VALUE, LARGEST_VALUE = 1e-30, 1e30  # SI: no rig gives a smaller or larger value, and the square of one is not finite
 BRIDGED_SAMPLES = 5  # samples: most that are not finite in a row and are interpolated over
 BRIDGED_SHARE = 0.02  # of the samples: most that are not finite and are interpolated over
+WRAP_SHARE = 0.5  # of the range: a larger change across samples that are not finite is a wrap
 GAP_INTERVALS = 3.5  # sampling intervals: a longer interval is a gap, a shorter one is interpolated over
 COPY_TOLERANCE = 1e-6  # of its range: columns that differ by less are the same, written with more or fewer digits
 CONSTANT_TOLERANCE = 1e-9  # of its largest value: an input that varies by less is constant
@@ -97,8 +99,15 @@ def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
     for k, path in enumerate(real):
         if path in real[:k]:
             raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
-    names = _names(listed)
-    return _records(layout, [_read(layout, path, name) for path, name in zip(listed, names, strict=True)], needs)
+    return records_of_tables(layout, ((path, read_columns(path)) for path in listed), listed, needs)
+
+
+def records_of_tables(
+    layout: Layout, tables: Iterable[tuple[Path, Columns]], paths: Sequence[Path], needs: Requirements
+) -> list[Record]:
+    """Return the records of files that are read already, as `read_records` does; `tables` gives path and columns of each."""
+    names = _names(paths)
+    return _records(layout, [_raw(layout, path, name, columns) for (path, columns), name in zip(tables, names, strict=True)], needs)
 
 
 def records_from_arrays(
@@ -143,8 +152,7 @@ def _must_be_layout(layout: object) -> None:
         raise BristleError(f"the layout is a {type(layout).__name__}; give a Layout, or a model that load_model returns")
 
 
-def _read(layout: Layout, path: Path, name: str) -> Raw:
-    columns = read_columns(path)
+def _raw(layout: Layout, path: Path, name: str, columns: Columns) -> Raw:
     found = [
         si_column(f"record {path}: {key}", columns, column.column, column.unit, column.scale, unit)
         for key, (column, unit) in layout.columns.items()
@@ -270,8 +278,18 @@ def _bridge(raw: Raw) -> None:
             allowed = f"{BRIDGED_SAMPLES} in a row and {BRIDGED_SHARE:.0%} in all are interpolated"
             raise raw.error(f"{where}; {allowed}: repair them or cut the record")
         raw.say(f"{where}; interpolated")
-        good = np.flatnonzero(~bad)
-        values[bad] = np.interp(np.flatnonzero(bad), good, values[good])
+        values[bad] = _between(values, ~bad, bad)
+
+
+def _between(values: Array, good: NDArray[np.bool_], bad: NDArray[np.bool_]) -> Array:
+    """Return what lies between the good samples, in steps of the sensor; over a wrap, the sample before."""
+    at, known, where = np.flatnonzero(good), values[good], np.flatnonzero(bad)
+    found = np.interp(where, at, known)
+    before = np.searchsorted(at, where) - 1
+    wrapped = np.abs(known[before + 1] - known[before]) > WRAP_SHARE * np.ptp(known)
+    found[wrapped] = known[before][wrapped]
+    step = common_step(known)
+    return found if step is None else known[0] + np.round((found - known[0]) / step) * step
 
 
 def _must_be_possible(layout: Layout, raw: Raw) -> None:

@@ -444,6 +444,16 @@ def test_a_few_holes_are_interpolated_and_said(layout):
     assert len(record) == N
 
 
+def test_interpolated_readings_keep_the_steps_and_the_wraps_of_the_sensor(layout):
+    t, u, y = motion()
+    wrapped = counts(y) % (2 * np.pi)
+    jumps = np.flatnonzero(np.abs(np.diff(wrapped)) > np.pi)
+    record = one(layout, t, u, holes(wrapped, [*jumps[:2], *range(1000, 1005), 2000]))
+    assert record.wrapped
+    assert record.resolution == pytest.approx(STEP, rel=1e-6)
+    np.testing.assert_allclose(record.y, counts(y), atol=STEP + np.max(np.abs(np.diff(y))))  # over a wrap, one sample late
+
+
 def test_what_the_reader_repaired_is_said(layout, tmp_path):
     np.savetxt(tmp_path / "r.csv", np.column_stack(motion()), delimiter=",", header="t,u,theta", comments="", footer="9.9,1")
     (tmp_path / "r.csv").write_text((tmp_path / "r.csv").read_text().rstrip())

@@ -1,0 +1,288 @@
+"""Which columns of measured files may be time, input and output, and how each would be declared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bristle.common.columns import Array, Columns
+from bristle.common.errors import BristleError, suggest
+from bristle.common.table import factor_to
+from bristle.common.unit_names import COUNTS, unit_symbol
+from bristle.records.headings import UNITS, Heading, heading
+from bristle.records.intake import WRAP_SHARE
+from bristle.records.layout import INPUT_UNITS, Column
+
+TURN_COUNTS = 4096  # counts a turn that are assumed where nothing shows them
+COUNTER_STEPS = 50  # steps: an output of whole numbers that covers more of them is a counter
+DISTINCT_SHARE = 0.9  # of the samples: least share of different values of a time
+USUAL_PERIOD = 1e-3  # s: sampling period that a unit of the time is chosen by, where none is given
+EPOCHS = {1e17: "ns", 1e14: "us", 1e11: "ms"}  # a time above it counts from 1970, in this unit
+SHOWN_COLUMNS = 12  # columns that an error lists at most
+RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}  # 0: the first choice
+SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20  # of a setpoint among outputs, of u and y, of a column of any other name
+ROLE_LETTERS = {"u": "input", "y": "output"}  # what control engineers call these
+EVEN_SCATTER = 0.1  # of the median interval: largest scatter of a time that is not called so
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A column in a role.
+
+    Attributes
+    ----------
+    column : Column
+        Name, unit and scale.
+    kind : str
+        "time", a kind of input or a kind of output.
+    rank : int
+        0 for the likeliest by name and unit.
+    doubts : tuple of str
+        What had to be assumed, one line each.
+    scatter : float
+        Of a time: how far its intervals are from their median, on the average and as a share of it.
+    """
+
+    column: Column
+    kind: str
+    rank: int
+    doubts: tuple[str, ...] = ()
+    scatter: float = 0.0
+
+    @property
+    def linear(self) -> bool:
+        """Whether an output is in metres."""
+        try:
+            factor_to(self.column.unit, self.column.scale, "m" if self.kind == "position" else "m/s")
+        except BristleError:
+            return False
+        return True
+
+
+@dataclass(frozen=True)
+class Files:
+    """The columns that all files have, their headings, and what the user says of them."""
+
+    tables: Mapping[Path, Columns]
+    units: Mapping[str, str]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns that all files have and that are as long as most."""
+        first = next(iter(self.tables.values()))
+        length = max((len(values) for values in first.values()), default=0)
+        shared = [name for name in first if all(name in table for table in self.tables.values())]
+        return [name for name in shared if len(first[name]) == length]
+
+    def values(self, name: str) -> Array:
+        """Return the finite values of a column in all files."""
+        values: Array = np.concatenate([table[name] for table in self.tables.values()])
+        return values[np.isfinite(values)]
+
+    def heading(self, name: str) -> Heading:
+        """Return what name and unit of a column say."""
+        if name in self.units:
+            symbol = unit_symbol(self.units[name])
+            if symbol is None:
+                raise BristleError(
+                    f"unit '{self.units[name]}' of '{name}' is not known; write for example deg, rpm, N.m, ms or count"
+                )
+            return heading(name, symbol)
+        return heading(name, next(iter(self.tables.values())).units.get(name))
+
+    def clock(self, name: str) -> bool:
+        return all(name in table.clocks for table in self.tables.values())
+
+    def varying(self) -> list[Heading]:
+        """Return the headings of the columns that change and may be an input or an output."""
+        found = []
+        for name in self.names:
+            values = self.values(name)
+            if len(values) and np.ptp(values) > 0.0 and not self.clock(name):
+                found.append(self.heading(name))
+        return found
+
+
+def candidates(files: Files, role: str, asked: str | None, taken: Sequence[str] = ()) -> list[Candidate]:
+    """Return what may be the "time", "input" or "output", the likeliest first; `asked` is the column that the user wants.
+
+    Raises
+    ------
+    BristleError
+        If there is none, or not the one that is asked for.
+    """
+    names = [name for name in files.names if name not in taken]
+    if asked is not None and asked not in names:
+        why = "is another role's already" if asked in taken else f"is no column of numbers in every file{suggest(asked, names)}"
+        raise BristleError(f"--{role} '{asked}': {why}; there are: {_listed(names)}")
+    make = {"time": _times, "input": _inputs, "output": _outputs}[role]
+    found = [each for each in make(files, asked) if each.column.column not in taken]
+    if not found:
+        where = next(iter(files.tables))
+        raise BristleError(f"record {where}: no column is likely to be the {role}; give it with --{role} COLUMN: {_listed(names)}")
+    return sorted(found, key=lambda each: (each.rank, each.scatter))
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN_COLUMNS} more" if len(names) > SHOWN_COLUMNS else ""
+    return ", ".join(names[:SHOWN_COLUMNS]) + more
+
+
+# -- time ----------------------------------------------------------------------------------------------------------------
+def _times(files: Files, asked: str | None) -> list[Candidate]:
+    found, even = [], []
+    for name in [asked] if asked else files.names:
+        h = files.heading(name)
+        series = [table[name][np.isfinite(table[name])] for table in files.tables.values()]
+        rises = all(len(x) > 1 and (np.diff(x) >= 0).all() and len(np.unique(x)) > DISTINCT_SHARE * len(x) for x in series)
+        if not asked and not rises:
+            continue
+        steps = np.concatenate([np.diff(x) for x in series])
+        scatter = float(np.mean(np.abs(steps / (np.median(steps) or 1.0) - 1.0)))
+        candidate = _time(h, files.clock(name), series[0], scatter)
+        if asked or files.clock(name) or h.quantity == "time":
+            found.append(candidate)
+        elif scatter < EVEN_SCATTER and not ((steps == 1.0).all() and series[0][0] in (0.0, 1.0)):  # no number of the sample
+            doubt = f"no column is called a time; '{name}' rises evenly"
+            even.append(replace(candidate, rank=UNKNOWN_RANK, doubts=(doubt, *candidate.doubts)))
+    return found or even
+
+
+def _time(h: Heading, clock: bool, values: Array, scatter: float) -> Candidate:
+    if clock or (h.fits and h.quantity == "time"):
+        return Candidate(Column(column=h.name, unit="s" if clock else str(h.unit)), "time", 0, scatter=scatter)
+    unit = _time_unit(values)
+    doubt = f"the unit of time '{h.name}' is not given; {unit} is assumed"
+    return Candidate(Column(column=h.name, unit=unit), "time", 1, (doubt,), scatter)
+
+
+def _time_unit(values: Array) -> str:
+    """Return the unit in which the sampling period is nearest to the usual one; whole numbers are no seconds."""
+    for least, unit in EPOCHS.items():
+        if abs(values[0]) > least:
+            return unit
+    step = float(np.median(np.diff(values)))
+    whole = (values == np.round(values)).all()
+    if not whole or step <= 0.0:
+        return "s"
+    return min(("ms", "us", "ns"), key=lambda unit: abs(np.log(step * factor_to(unit, None, "s") / USUAL_PERIOD)))
+
+
+# -- input ---------------------------------------------------------------------------------------------------------------
+def _inputs(files: Files, asked: str | None) -> list[Candidate]:
+    found = []
+    for h in files.varying():
+        if asked not in (None, h.name) or (
+            asked is None and (h.quantity in ("time", "position", "velocity") or _excluded(h, "output"))
+        ):
+            continue
+        kind = h.quantity if h.quantity in INPUT_UNITS else None
+        if kind is None:
+            said = f"what '{h.name}' is, is not said; a voltage is assumed"
+            found.append(Candidate(Column(column=h.name, unit="V"), "voltage", _unknown_rank(h), (said,)))
+        elif candidate := _declared(h, kind, INPUT_UNITS[kind], INPUT_UNITS[kind]):
+            found.append(candidate)
+    return found
+
+
+def fitted(candidate: Candidate, linear: bool) -> Candidate:
+    """Return an input as the axis needs it: a torque that moves a linear axis becomes a force, and the other way round."""
+    if candidate.kind not in ("torque", "force") or linear == (candidate.kind == "force"):
+        return candidate
+    kind, lever = ("force", "1 1/m") if linear else ("torque", "1 m")
+    scale = lever if candidate.column.scale is None else f"{candidate.column.scale}{'/m' if linear else '.m'}"
+    doubt = f"'{candidate.column.column}' is a {candidate.kind} and the output {'moves in metres' if linear else 'turns'}: " \
+        f"a lever of 1 m is assumed; write the right one as scale"  # fmt: skip
+    return replace(
+        candidate, column=candidate.column.model_copy(update={"scale": scale}), kind=kind, doubts=(*candidate.doubts, doubt)
+    )
+
+
+# -- output --------------------------------------------------------------------------------------------------------------
+def _outputs(files: Files, asked: str | None) -> list[Candidate]:
+    found: list[Candidate | None] = []
+    for h in files.varying():
+        elsewhere = (h.named and h.quantity in ("time", *INPUT_UNITS)) or _excluded(h, "input")
+        if asked not in (None, h.name) or (asked is None and elsewhere):
+            continue  # a column that is a voltage by its unit alone may be that of a sensor
+        if h.quantity in ("position", "velocity"):
+            found.append(_output(files, h, h.quantity))
+        else:
+            found += [_output(files, replace(h, quantity=kind), kind, unknown=True) for kind in ("position", "velocity")]
+    return [each for each in found if each is not None]
+
+
+def _output(files: Files, h: Heading, kind: str, unknown: bool = False) -> Candidate | None:
+    """Return a column as a position or a velocity."""
+    si = UNITS[kind][0]
+    shown, turn = None, None
+    if kind == "position" and h.unit in (None, COUNTS):
+        shown, turn = _shown_turn(files.values(h.name), h.unit == COUNTS)
+    per = "/s" if kind == "velocity" else ""
+    if h.unit == COUNTS or shown == COUNTS:
+        doubts = (
+            () if turn else (f"counts a turn of '{h.name}' are not known: {TURN_COUNTS} assumed; write what one count is as scale",)
+        )
+        scale = f"{360.0 / (turn or TURN_COUNTS)!r} deg{per}"
+        candidate = Candidate(Column(column=h.name, unit=f"1{per}", scale=scale.replace("/s", "")), kind, RANKS[kind], doubts)
+    else:
+        given = _declared(h, kind, si, shown or si)
+        if given is None:
+            return None
+        candidate = given
+    if unknown:
+        candidate = replace(
+            candidate, rank=_unknown_rank(h), doubts=(f"what '{h.name}' is, is not said; a {kind} is assumed", *candidate.doubts)
+        )
+    return replace(candidate, rank=candidate.rank + SETPOINT_RANK) if h.setpoint else candidate
+
+
+def _shown_turn(values: Array, counts: bool) -> tuple[str | None, int | None]:
+    """Return the unit that wraps of a position show, degrees or counts, and the counts a turn."""
+    span = float(np.ptp(values))
+    jumps = np.abs(np.diff(values))
+    wraps = bool((jumps > WRAP_SHARE * span).any())
+    whole = bool((values == np.round(values)).all()) and span > COUNTER_STEPS
+    if wraps and not counts and abs(span - 360.0) < 0.02 * 360.0 and not (whole and span < 360.0 - 1.5):
+        return "deg", None
+    if not (counts or whole):
+        return None, None
+    bits = round(float(np.log2(span + 1.0)))
+    return COUNTS, 2**bits if wraps and span <= 2**bits < 1.02 * span + 2.0 else None
+
+
+def _letter(h: Heading) -> str:
+    """Return the letter that a name consists of, without number and struct."""
+    return h.name.rpartition(".")[2].rstrip("0123456789_").lower()
+
+
+def _excluded(h: Heading, role: str) -> bool:
+    """Return whether a column is unwanted, or called by the letter of another role."""
+    return h.unwanted or ROLE_LETTERS.get(_letter(h)) == role
+
+
+def _unknown_rank(h: Heading) -> int:
+    return LETTER_RANK if _letter(h) in ROLE_LETTERS else UNKNOWN_RANK
+
+
+# -- both ----------------------------------------------------------------------------------------------------------------
+def _declared(h: Heading, kind: str, si: str, default: str) -> Candidate | None:
+    """Return a column with its unit, or with the default one; a unit of another quantity gets a scale of 1, which is a doubt."""
+    rank = RANKS[kind]
+    if h.unit is None:
+        return Candidate(
+            Column(column=h.name, unit=default), kind, rank, (f"the unit of '{h.name}' is not given; {default} is assumed",)
+        )
+    if h.fits and h.quantity == kind:
+        return Candidate(Column(column=h.name, unit=h.unit), kind, rank)
+    unit = "1" if h.unit == COUNTS else h.unit
+    scale = f"1 {si}" if unit in ("1", "%") else f"1 {si.replace('/', '/(')}.{unit})" if "/" in si else f"1 {si}/{unit}"
+    worth = f"100 % of '{h.name}' are taken as 1 {si}" if unit == "%" else f"1 {h.unit} of '{h.name}' is taken as 1 {si}"
+    try:
+        factor_to(unit, scale, si)
+    except BristleError:
+        return None
+    return Candidate(Column(column=h.name, unit=unit, scale=scale), kind, rank, (f"{worth}; write the right value as scale",))

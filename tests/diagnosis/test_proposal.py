@@ -1,0 +1,198 @@
+"""What bristle init proposes from measured files alone, as ten loggers write those of one known servo."""
+
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+from loggers import STYLES, mistakes, servo_records, write_pair
+
+from bristle.common.errors import BristleError
+from bristle.diagnosis import diagnose, load_model, load_records
+from bristle.diagnosis.proposal import propose
+from bristle.diagnosis.proposal_text import model_text, summary, write_model
+
+SECONDS = 7.0  # of each record: the regression needs no more
+RNG = np.random.default_rng(1)
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory):
+    """The files of each logger, written when they are first asked for."""
+    made = {}
+
+    def of(name):
+        if name not in made:
+            made[name] = write_pair(STYLES[name], tmp_path_factory.mktemp("pair"), SECONDS)
+        return made[name]
+
+    return of
+
+
+def plain(folder, header="t,u,theta", change=lambda t, u, y: (t, u, y)):
+    """Write one record of the servo with other names, changed; return the file."""
+    record = servo_records()[0]
+    n = round(SECONDS * 1e3)
+    columns = change(np.arange(n) * 1e-3, record.u[:n], record.theta[:n])
+    np.savetxt(folder / "run.csv", np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.9g")
+    return folder / "run.csv"
+
+
+@pytest.mark.parametrize("name", list(STYLES))
+def test_a_pair_of_log_files_gives_a_model_that_reads_them(name, pairs, tmp_path):
+    paths = pairs(name)
+    found = propose(paths)
+    assert mistakes(STYLES[name], found) == []
+    write_model(found, tmp_path / "model.toml")
+    model = load_model(tmp_path / "model.toml")
+    records = load_records(model, paths)
+    assert [len(record) for record in records] == [round(SECONDS * 1e3)] * 2
+    for name_, rough in found.rough.items():
+        full = f"coulomb.{name_}" if name_ == "Fc" else name_
+        assert model.parameters[full] == rough.value
+        assert model.bounds[full] == (rough.low, rough.high)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["german spreadsheet", "tabs and units"])
+def test_a_diagnosis_takes_the_proposal_as_it_is(name, pairs, tmp_path):
+    paths = pairs(name)
+    write_model(propose(paths), tmp_path / "model.toml")
+    model = load_model(tmp_path / "model.toml")
+    found = diagnose(model, load_records(model, paths))
+    assert [effect.name for effect in found.effects] == ["cogging"]
+
+
+def test_the_comparison_with_the_truth_can_fail(pairs):
+    style = STYLES["german spreadsheet"]
+    found = propose(pairs("german spreadsheet"))
+    assert (
+        mistakes(replace(style, gain=2.2), found) == ["J x2.25", "a2 x2.47", "Fc x2.03"]
+        or len(mistakes(replace(style, gain=2.2), found)) > 1
+    )
+    assert mistakes(replace(style, step=0.05), found) == [f"step {360 / 16384:.6g}"]
+    assert mistakes(replace(style, units=("s", "N.m", "rad")), found) == ["units ('s', 'N.m', 'deg')"]
+
+
+def test_what_cannot_be_told_is_said_and_kept_as_a_comment(tmp_path):
+    def two(t, u, y):
+        return t, np.roll(u, 40), u, y
+
+    found = propose(plain(tmp_path, "t [s],torque A [Nm],torque B [Nm],angle [rad]", two))
+    assert found.input.column.column == "torque B [Nm]"
+    assert any(line.startswith("2 columns may be the input: 'torque B [Nm]' is taken") for line in found.doubts)
+    text = model_text(found, "bristle diagnose")
+    assert '# column = "torque A [Nm]"' in text
+    assert tomllib.loads(text)["input"] == {"column": "torque B [Nm]", "unit": "N.m", "kind": "torque"}
+    assert any("2 columns may be the input" in line for line in summary(found))
+    assert propose(tmp_path / "run.csv", {"input": "torque A [Nm]"}).input.column.column == "torque A [Nm]"
+
+
+def test_a_setpoint_is_no_output_and_a_counter_no_input(tmp_path):
+    def more(t, u, y):
+        return np.arange(len(t)), t, np.round(y), y, u
+
+    found = propose(plain(tmp_path, "index,time,angle_ref,angle,torque", more))
+    assert [each.column.column for each in (found.time, found.input, found.output)] == ["time", "torque", "angle"]
+
+
+def test_an_input_against_the_motion_is_turned(tmp_path):
+    found = propose(plain(tmp_path, change=lambda t, u, y: (t, -u, y)))
+    assert found.input.column.scale == "-1"
+    assert found.rough["J"].value == pytest.approx(0.01, rel=0.1)
+    assert "a positive 'u' moves the output backwards; its sign is turned by scale" in found.doubts
+    assert propose(plain(tmp_path)).input.column.scale is None
+
+
+def test_a_speed_without_its_sign_is_a_doubt(tmp_path):
+    def unsigned(t, u, y):
+        return t, u, np.abs(np.gradient(y, t))
+
+    found = propose(plain(tmp_path, "t [s],u [V],speed [rad/s]", unsigned))
+    assert any("was the speed measured without its sign?" in line for line in found.doubts)
+
+
+def test_names_that_say_nothing_are_compared_by_what_they_explain(tmp_path):
+    """A reference and the output that follows it are one quantity, so that neither is the input of the other."""
+
+    def unnamed(t, u, y):
+        return t, y, np.convolve(y, np.ones(5) / 5, mode="same"), u
+
+    found = propose(plain(tmp_path, "t,a,b,c", unnamed))
+    assert found.input.column.column == "c"
+    assert found.output.column.column in ("a", "b")
+    assert found.output.kind == "position"
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "unit"),
+    [
+        ("t,u,y", (1.0, 1.0, 1.0), "s"), ("t,u,y", (1e3, 1.0, 1.0), "ms"), ("t,u,y", (1e6, 1.0, 1.0), "us"),
+        ("time (ms),u,y", (1e3, 1.0, 1.0), "ms"), ("a,u,y", (1.0, 1.0, 1.0), "s"),
+    ],
+)  # fmt: skip
+def test_the_unit_of_the_time(header, scale, unit, tmp_path):
+    found = propose(plain(tmp_path, header, lambda *columns: tuple(x * k for x, k in zip(columns, scale, strict=True))))
+    assert found.time.column.unit == unit
+    assert found.records[0].h == pytest.approx(1e-3, rel=1e-6)
+    assert any("no column is called a time" in line for line in found.doubts) == (header[0] == "a")
+
+
+def test_units_that_the_user_gives(tmp_path):
+    found = propose(plain(tmp_path), units={"theta": "mm", "u": "N"})
+    assert (found.output.linear, found.input.kind, found.output.column.unit) == (True, "force", "mm")
+    assert found.rough["J"].value == pytest.approx(0.01e3, rel=0.1)
+    load_text = tomllib.loads(model_text(found, ""))
+    assert load_text["input"]["kind"] == "force"
+    turned = propose(plain(tmp_path), units={"theta": "mm", "u": "Nm"})
+    assert (turned.input.kind, turned.input.column.scale) == ("force", "1 1/m")
+    assert any("a lever of 1 m is assumed" in line for line in turned.doubts)
+
+
+def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
+    def steady(t, u, y):
+        return t, 0.1 + 0.01 * np.sin(40 * t), 3.0 * t + 1e-3 * np.sin(40 * t + 1)
+
+    found = propose(plain(tmp_path, "t,torque,angle", steady))
+    assert found.rough["J"].error is None
+    assert found.rough["J"].high > 100 * found.rough["J"].low
+    assert "the records hardly show the inertia; J is a guess" in found.doubts
+
+
+@pytest.mark.parametrize(
+    ("header", "change", "asked", "words"),
+    [
+        ("a,b,c", lambda t, u, y: (u, y, u + y), {}, "no column is likely to be the time; give it with --time COLUMN: a, b, c"),
+        ("t,speed,angle", lambda t, u, y: (t, y, y), {}, "no column is likely to be the input; give it with --input COLUMN"),
+        ("t,torque,temp", None, {}, "no column is likely to be the output; give it with --output COLUMN"),
+        (
+            "t,torque,angle",
+            None,
+            {"input": "torq"},
+            "--input 'torq': is no column of numbers in every file (did you mean 'torque'?)",
+        ),
+        ("t,torque,angle", None, {"input": "t"}, "--input 't': is another role's already"),
+        ("t,torque,angle", lambda t, u, y: (t, u, 0 * y + np.sin(t) * 1e-12), {}, "give the right units with --unit"),
+        ("t,torque,angle", lambda t, u, y: (t, u, RNG.standard_normal(len(t))), {}, "nothing moves"),
+        ("t [s],torque,angle", lambda t, u, y: (t / 1e3, u, y), {}, "is [time] unit right"),
+    ],
+)
+def test_where_nothing_can_be_proposed(header, change, asked, words, tmp_path):
+    with pytest.raises(BristleError) as caught:
+        propose(plain(tmp_path, header, change or (lambda *columns: columns)), asked)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_units_of_no_column_and_no_unit(tmp_path):
+    path = plain(tmp_path)
+    for units, words in (({"x": "m"}, "--unit 'x': is no column"), ({"u": "furlong"}, "unit 'furlong' of 'u' is not known")):
+        with pytest.raises(BristleError, match=words):
+            propose(path, units=units)
+    with pytest.raises(BristleError, match="no record is given"):
+        propose([])
