@@ -239,10 +239,11 @@ class Program:
         if system.states:
             unknowns: list[Unknown] = []
             if system.dry:
-                step, unknowns = proximal(system, h)
-                step = ca.vertcat(step, 0)
+                end, unknowns = proximal(system, h)
+                error = SX(0)
             else:
-                step = ca.vertcat(*rodas(system, h))
+                end, error = rodas(system, h)
+            step = ca.vertcat(system.with_followers(end), error)
             add("step", [(_solved(step, unknowns), range(n + 1))], to_output=True)
             if self.sensitivities:
                 # the step itself beside: both share most of their work

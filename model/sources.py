@@ -63,7 +63,7 @@ def _equations(system: System) -> str:
     """Return a system as text: all its fields, with expressions as CasADi stores them."""
     found: list[SX] = []
     text = repr(_plain(system, found))
-    symbols = [system.time, *system.symbols.values()]
+    symbols = [system.time, *system.symbols.values(), *system.ends.values()]
     return f"{text} {ca.Function('system', symbols, found).serialize()}"
 
 

@@ -73,7 +73,8 @@ class System:
 
     Continuous states obey x' = f; sampled states change every `sample_time`, either *before* an interval is
     integrated (they use the inputs of its start: delay lines, observers, controllers) or *after* it (sensors, which
-    see the states of its end); modes change at the end of an internal step; at most one row carries dry friction.
+    see the states of its end); modes change at the end of an internal step; at most one row carries dry friction. A state that
+    `follow`s others has no rate: its value at the end of an internal step is a function of theirs.
     """
 
     name: str
@@ -90,6 +91,8 @@ class System:
     modes: dict[str, State] = field(default_factory=dict)
     updates: dict[str, SX] = field(default_factory=dict)
     margins: dict[str, SX] = field(default_factory=dict)
+    ends: dict[str, SX] = field(default_factory=dict)
+    followed: dict[str, SX] = field(default_factory=dict)
     dry: DryRow | None = None
     symbols: dict[str, SX] = field(default_factory=dict)
     time: SX = field(default_factory=lambda: SX.sym("time"))
@@ -148,6 +151,18 @@ class System:
         """Set x' of a continuous state."""
         self.rates[name] = SX(expression)
 
+    def end(self, name: str) -> SX:
+        """Return the symbol of a continuous state at the end of an internal step, for `follow`."""
+        return self.ends.setdefault(name, SX.sym(f"{name}_end"))
+
+    def follow(self, name: str, expression: SX) -> None:
+        """Set the value of a continuous state at the end of an internal step; other states may enter at both ends of the step.
+
+        For memory that depends on a path and not on time, such as free play: no step then has to resolve where it switches.
+        """
+        self.rates[name] = SX(0)
+        self.followed[name] = SX(expression)
+
     def update(self, name: str, expression: SX) -> None:
         """Set the next value of a sampled state or a mode."""
         self.updates[name] = SX(expression)
@@ -185,8 +200,8 @@ class System:
 
     @property
     def smooth(self) -> bool:
-        """True if x' = f(x, u) is all there is: no sampled states, modes or dry friction."""
-        return bool(self.states) and not (self.before or self.after or self.modes or self.dry)
+        """True if x' = f(x, u) is all there is: no sampled states, modes, states that follow others, or dry friction."""
+        return bool(self.states) and not (self.before or self.after or self.modes or self.followed or self.dry)
 
     def namespace(self, prefix: str = "") -> Namespace:
         """Return all symbols for attribute access."""
@@ -199,6 +214,14 @@ class System:
     def rate_vector(self) -> SX:
         """Return x' as a column, in the order of `states` (without the dry friction)."""
         return ca.vertcat(*(self.rates[name] for name in self.states)) if self.states else SX(0, 1)
+
+    def with_followers(self, end: SX) -> SX:
+        """Return the states at the end of a step, in the order of `states`, with those that follow others put in place."""
+        names, rows = list(self.states), ca.vertsplit(end) if self.states else []
+        reached = [rows[names.index(name)] for name in self.ends]
+        for name, expression in self.followed.items():
+            [rows[names.index(name)]] = ca.substitute([expression], list(self.ends.values()), reached)
+        return ca.vertcat(*rows)
 
     def expand(self, expression: SX) -> SX:
         """Replace the constants in `expression` by their formulas, so that it can be differentiated by parameters."""

@@ -173,6 +173,9 @@ class Extension:
         Normalised parameters that have no true value beside it: it makes them vary, or changes what an observer should find.
     states, rates : tuple of State, function
         Own continuous states and their derivatives; the context is that of its input map.
+    follow : function
+        Values of own continuous states without rates at the end of an internal step; arguments the context at its start, the
+        position and the velocity at its end.
     sampled, updates : tuple of State, function
         Own sampled states, updated before an interval is integrated. Their `initial` may be a function of the parameters.
     command : function
@@ -185,7 +188,7 @@ class Extension:
         Factors (for forward, for backward motion) on the dry friction of the law. A set-valued law gets two bounds; a
         smooth law chooses by the sign of its friction force, so that the product stays continuous.
     bound : function
-        Dry-friction torque added [N.m], for both directions. A smooth law grows by it in proportion to its Fc.
+        Dry-friction torque added [N.m], against forward and backward motion. A smooth law grows by it in proportion to its Fc.
     output : function
         Position and velocity that are measured.
     delay : function
@@ -207,13 +210,14 @@ class Extension:
     without_truth: tuple[str, ...] = ()
     states: tuple[State, ...] = ()
     rates: Callable[[Context], dict[str, SX]] | None = None
+    follow: Callable[[Context, SX, SX], dict[str, SX]] | None = None
     sampled: tuple[State, ...] = ()
     updates: Callable[[Context], dict[str, SX]] | None = None
     command: Callable[[Context], SX] | None = None
     drive: Callable[[Context], SX] | None = None
     torque: Callable[[Context], SX] | None = None
     factor: Callable[[Context], tuple[SX, SX]] | None = None
-    bound: Callable[[Context], SX] | None = None
+    bound: Callable[[Context], tuple[SX, SX]] | None = None
     output: Callable[[Context], tuple[SX, SX]] | None = None
     delay: Callable[[Context], SX] | None = None
     coupling: Callable[[Context, SX, SX], Coupling] | None = None
@@ -392,24 +396,25 @@ class Effects:
             alike = forward is backward and up is down
             forward, backward = forward * up, backward * down
             backward = forward if alike else backward
-        extra = [(e, e.bound(c)) for e, c in self.having("bound", torque=motor) if e.bound is not None]
-        added = sum((bound for _, bound in extra), SX(0))
+        extra = [(e, *e.bound(c)) for e, c in self.having("bound", torque=motor) if e.bound is not None]
+        more, back = (sum((bounds[side] for _, *bounds in extra), SX(0)) for side in (0, 1))
+        even = all(up is down for _, up, down in extra)
         if friction.bound is None and not SX(friction.force).is_zero():
             if extra and "Fc" not in friction.true:
                 name = extra[0][0].name
                 raise BristleError(f"effect '{name}' needs a law with a Coulomb level Fc, not '{law.name}'; choose another law")
             if extra:
-                share = added / (friction.true["Fc"] * inertia)
-                alike = forward is backward
-                forward, backward = forward + share, backward + share
+                level = friction.true["Fc"] * inertia
+                alike = even and forward is backward
+                forward, backward = forward + more / level, backward + back / level
                 backward = forward if alike else backward
             factor = forward if forward is backward else ca.if_else(friction.force > 0, forward, backward)
             return factor * friction.force, None, None
         if friction.bound is None and not extra:
             return scale * friction.force, None, None
         own = SX(0) if friction.bound is None else friction.bound
-        upper, lower = forward * own + added, backward * own + added
-        return scale * friction.force, upper, None if forward is backward else lower
+        upper, lower = forward * own + more, backward * own + back
+        return scale * friction.force, upper, None if even and forward is backward else lower
 
     def bristles(self, law: FrictionLaw, bound: SX | None) -> tuple[SX, SX] | None:
         """Return (stiffness, damping) of bristles where an effect puts them under the law's set-valued friction."""
@@ -435,6 +440,13 @@ class Effects:
         [(effect, c)] = self.having("coupling")
         assert effect.coupling is not None
         return effect.coupling(c, twist, rate)
+
+    def follow(self, theta: SX, v: SX) -> None:
+        """Give the states of the effects that follow the motion their values, from where it is at the end of a step."""
+        for effect, c in self.having("follow"):
+            assert effect.follow is not None
+            for name, value in effect.follow(c, theta, v).items():
+                self._system.follow(f"{effect.name}.{name}", value)
 
     def shown(self, theta: SX, v: SX) -> tuple[SX, SX]:
         """Return the position and velocity that are measured."""

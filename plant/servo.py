@@ -97,7 +97,12 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
         sliding = ca.if_else(v > 0, bound, -lower)
         force = smooth + ca.if_else(v == 0, ca.fmin(ca.fmax(torque - smooth, -lower), bound), sliding)
     theta_shown, v_shown = work.shown(theta, v)
-    theta_first, v_first = work.shown(theta_start, v_start)
+    if any(effect.follow for effect in ordered):
+        work.follow(system.end("theta"), system.end("v"))
+    first = ca.vertcat(*work.shown(theta_start, v_start))
+    at_start = system.vector([f"{effect.name}.{state.name}" for effect in ordered for state in effect.states])
+    begin = ca.vertcat(*(SX(state.initial) for effect in ordered for state in effect.states))
+    theta_first, v_first = ca.vertsplit(ca.substitute(first, at_start, begin) if begin.numel() else first)
     delay = work.delay()
     position = _output(system, Variable("theta", "rad", "position"), theta_shown, theta_first, delay)
     _output(system, Variable("v", "rad/s", "velocity"), v_shown, v_first, delay)

@@ -40,6 +40,9 @@ PARAMETERS = {  # of the catalogue; a rise too short to see is none
     "disturbance_step": ("torque", "onset"),
     "eccentric_encoder": ("amplitude", "phase"),
     "position_friction": ("amplitude", "periods", "phase"),
+    "encoder_play": ("play",),
+    "asymmetric_viscous": ("coefficient",),
+    "gear_loss": ("driving", "driven"),
 }
 
 CLASSES = {
@@ -49,6 +52,8 @@ CLASSES = {
     "electrical_pole": "input_delay/electrical_pole",
     "presliding": "presliding/bristle_damping",
     "bristle_damping": "presliding/bristle_damping",
+    "load_friction": "load_friction/gear_loss",
+    "gear_loss": "load_friction/gear_loss",
 }
 
 
@@ -255,10 +260,8 @@ def compliance(rng: Generator, s: Setting) -> Shape:
 
 
 def load_friction(rng: Generator, s: Setting) -> Shape:
-    """Proportional to the motor torque; other form: a power of it, or stronger where the motor brakes."""
-    more: Fields = {}
-    if s.other:
-        more = {"load_friction_braking": 1.0} if rng.random() < 0.3 else {"load_friction_power": rng.uniform(1.2, 1.6)}
+    """Proportional to the motor torque; other form: a power of it."""
+    more = {"load_friction_power": rng.uniform(1.2, 1.6)} if s.other else {}
     return Shape(lambda m: {"load_friction_coefficient": m, **more}, 0.005, 0.05, 0.45)
 
 
@@ -310,12 +313,37 @@ def position_friction(rng: Generator, s: Setting) -> Shape:
     return Shape(lambda m: {**fixed, "position_friction_amplitude": m}, 0.005, 0.06, 0.7)
 
 
+def encoder_play(rng: Generator, s: Setting) -> Shape:
+    """Play at the sensor; other form: the encoder is taken along softly."""
+    rounding = rng.uniform(2.5, 6) if s.other else 0.0
+    return Shape(lambda m: {"encoder_play_play": m, "encoder_play_rounding": rounding}, 1.5e-3, 8e-3, 0.1, 1.5)
+
+
+def asymmetric_viscous(rng: Generator, s: Setting) -> Shape:
+    """In proportion to |v|; other form: to a power of it."""
+    side, power = sign(rng), rng.uniform(1.2, 1.4) if s.other else 0.0
+    return Shape(
+        lambda m: {"asymmetric_viscous_coefficient": side * m, "asymmetric_viscous_power": power}, 1e-4, 2e-3, 0.03
+    )
+
+
+def gear_loss(rng: Generator, s: Setting) -> Shape:
+    """In proportion to the motor torque, less in one direction of the power; other form: a power of it."""
+    power, less, drives = rng.uniform(1.2, 1.6) if s.other else 0.0, rng.uniform(0.0, 0.3), rng.random() < 0.5
+
+    def fields(m: float) -> Fields:
+        driving, driven = (m, less * m) if drives else (less * m, m)
+        return {"gear_loss_driving": driving, "gear_loss_driven": driven, "gear_loss_power": power}
+
+    return Shape(fields, 0.005, 0.06, 0.6)
+
+
 EFFECTS: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (
         bias, asymmetric_coulomb, quadratic_drag, stribeck, presliding, bristle_damping, cogging, gravity, dead_zone, saturation,
         gain_asymmetry, input_delay, electrical_pole, backlash, compliance, load_friction, hard_stop, friction_drift,
-        disturbance_step, eccentric_encoder, position_friction,
+        disturbance_step, eccentric_encoder, position_friction, encoder_play, asymmetric_viscous, gear_loss,
     )
 }  # fmt: skip
 

@@ -20,6 +20,16 @@ typedef struct {
     double regular;     /* rad/s, F = Fc v/(|v| + regular) in place of bristles */
     double step;        /* s, internal step; divides the period */
 
+    double encoder_play_play;
+    double encoder_play_rounding; /* other: exponent n, e' = -v (1 - |2 e/play|^n) */
+
+    double asymmetric_viscous_coefficient;
+    double asymmetric_viscous_power; /* other: of |v|, in place of 1; scaled at 5 rad/s */
+
+    double gear_loss_driving;
+    double gear_loss_driven;
+    double gear_loss_power; /* other: exponent of the torque, scaled at 0.4 N.m */
+
     double bias_torque;
     double bias_ripple; /* other: share that varies with position */
     double bias_ripple_phase;
@@ -84,8 +94,7 @@ typedef struct {
     double compliance_stiffening; /* other: 1/rad2 */
 
     double load_friction_coefficient;
-    double load_friction_power;   /* other: exponent, scaled at 0.4 N.m */
-    double load_friction_braking; /* other: 1 = only while the motor brakes */
+    double load_friction_power; /* other: exponent, scaled at 0.4 N.m */
 
     double hard_stop_stiffness;
     double hard_stop_upper;
@@ -144,7 +153,7 @@ typedef struct {
     double resolution; /* rad */
 } Loop;
 
-enum { THETA, V, Z, ZB, THETA_LOAD, V_LOAD, LAG, LAG2, HYSTERESIS, STATES };
+enum { THETA, V, Z, ZB, THETA_LOAD, V_LOAD, LAG, LAG2, HYSTERESIS, LEAD, STATES };
 
 static double sign(double x) { return (x > 0) - (x < 0); }
 static double square(double x) { return x * x; }
@@ -200,6 +209,20 @@ static double drifted(const Plant *p, double t)
     return fmax(1 + p->friction_drift_rate * p->friction_drift_settling * (1 - exp(-t / p->friction_drift_settling)), 0);
 }
 
+/* Torque that a gear carries, or a power of it. */
+static double carried(double motor, double power)
+{
+    return power > 0 ? 0.4 * pow(fabs(motor) / 0.4, power) : fabs(motor);
+}
+
+/* How far the encoder is ahead once the motor has moved on. */
+static double led(const Plant *p, double lead, double moved)
+{
+    const double half = 0.5 * p->encoder_play_play, n = p->encoder_play_rounding;
+    if (n > 0 && lead * moved < 0) moved *= 1 - pow(fmin(fabs(lead) / half, 1), n);
+    return fmax(-half, fmin(half, lead - moved));
+}
+
 /* Level at which the bristles slide. */
 static double level(const Plant *p, double theta, double v, double drift, double motor)
 {
@@ -216,11 +239,9 @@ static double level(const Plant *p, double theta, double v, double drift, double
             wave += p->position_friction_second * sin(2 * angle + p->position_friction_second_phase);
         factor *= 1 + p->position_friction_amplitude * wave;
     }
-    if (p->load_friction_coefficient > 0 && !(p->load_friction_braking != 0 && motor * v > 0)) {
-        added = fabs(motor);
-        if (p->load_friction_power > 0) added = 0.4 * pow(added / 0.4, p->load_friction_power);
-        added *= p->load_friction_coefficient;
-    }
+    if (p->load_friction_coefficient > 0) added = p->load_friction_coefficient * carried(motor, p->load_friction_power);
+    if (p->gear_loss_driving > 0 || p->gear_loss_driven > 0) /* at rest it is about to drive */
+        added += (motor * v < 0 ? p->gear_loss_driven : p->gear_loss_driving) * carried(motor, p->gear_loss_power);
     return fmax(p->Fc * factor + added, 1e-5);
 }
 
@@ -252,6 +273,10 @@ static double motor_side(const Plant *p, double theta, double v, double t, doubl
         const double since = fmod(t + p->burst_spacing - p->burst_start, p->burst_spacing) - 0.5 * p->burst_spacing;
         const double w = p->burst_frequency;
         torque += p->burst_amplitude * exp(-square(since / p->burst_width)) * (sin(w * t) + 0.6 * sin(1.618034 * w * t));
+    }
+    if (p->asymmetric_viscous_coefficient != 0) {
+        const double e = p->asymmetric_viscous_power;
+        torque -= p->asymmetric_viscous_coefficient * (e > 0 ? 5 * pow(fabs(v) / 5, e) : fabs(v));
     }
     return torque - p->hysteresis_torque * hysteresis - p->asymmetric_coulomb_viscous * p->a2 * fabs(v);
 }
@@ -311,6 +336,7 @@ static void advance(const Plant *p, double *x, double t, double asked, double no
 
     for (int part = 0; part < 2; part++) {
         x[THETA] += half * x[V];
+        if (p->encoder_play_play > 0) x[LEAD] = led(p, x[LEAD], half * x[V]);
         if (two) x[THETA_LOAD] += half * x[V_LOAD];
         motor = asked;
         if (lag > 0) {
@@ -386,7 +412,7 @@ static double shown(const Plant *p, const double *x)
             theta += p->eccentric_encoder_amplitude * p->eccentric_encoder_second
                    * sin(2 * x[THETA] + p->eccentric_encoder_second_phase);
     }
-    return theta;
+    return theta + x[LEAD];
 }
 
 EXPORT int truth_states(void) { return STATES; }

@@ -86,13 +86,18 @@ EXPORT long long batch_segments(Core *c, long long n_segments, int bins, int wid
             core_outputs(c);
             c->v[a->states[set[0]]] += start[0] - c->v[observed];
         }
+        for (int i = 0; i < n_set; i++)
+            for (int j = 0; j < n; j++)
+                if (j != set[i]) s[j * Q + column[i]] = 0.0; /* what the last start left behind is not this one's doing */
         a->seen_jacobian(c->v, 0.0, jacobian);
-        for (int q = 0; q < Q; q++)
-            s[set[0] * Q + q] = ((q == column[0]) - (q == column[0] ? 0.0 : jacobian[n + q])) / jacobian[set[0]];
+        for (int q = 0; q < Q; q++) {
+            double shown = q == column[0] ? -1.0 : jacobian[n + q];
+            for (int j = 0; j < n; j++)
+                if (j != set[0]) shown += jacobian[j] * s[j * Q + q]; /* such as the place within a play */
+            s[set[0] * Q + q] = -shown / jacobian[set[0]];
+        }
         for (int j = 0; j < n; j++) {
             const int from = leader[j] >= 0 ? set[leader[j]] : -1;
-            for (int i = 0; i < n_set; i++)
-                if (j != set[i]) s[j * Q + column[i]] = 0.0; /* what the last start left behind is not this one's doing */
             if (from < 0) continue;
             c->v[a->states[j]] += c->v[a->states[from]] - old[from];
             /* the far side of a play remembers its past sharply: its derivatives start anew with the segment */

@@ -9,12 +9,13 @@ from bristle.model.variables import Parameter
 from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
 
 
-def bound(c: Context) -> ca.SX:
-    """mu |T_motor|.
+def bound(c: Context) -> tuple[ca.SX, ca.SX]:
+    """mu |T_motor|, against either direction.
 
     Source: duclusaud2024 (load-dependent friction, here by the motor's torque alone).
     """
-    return ca.SX(c.p.coefficient * ca.fabs(c.torque))
+    friction = ca.SX(c.p.coefficient * ca.fabs(c.torque))
+    return friction, friction
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
@@ -27,11 +28,11 @@ EFFECT = Effect(
     "dry friction that grows with the transmitted {torque}",
     "duclusaud2024",
     title="load-dependent dry friction",
-    group="load_friction",
+    group="load_friction/gear_loss",
     equation="mu |T_motor| sgn v",
     residual=("u x direction",),
     excitation="varied load at equal speed",
-    confounded=("gain_asymmetry", "back_emf"),
+    confounded=("gear_loss", "gain_asymmetry", "back_emf"),
     parameters=(
         Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}", "duclusaud2024"),
     ),
