@@ -30,6 +30,7 @@ from bristle.plant.effects import effect as find_effect
 from bristle.records.record import Record
 
 KNOWN_HALF_WIDTH = 0.3  # half an interval over the value, which of one parameter at least must be less
+DOMINANT_DISTURBANCE = 0.5  # of the input's torque, rms: a larger disturbance is something that the model lacks
 UNEXPLAINED_SHARE = 0.5  # share of the residual in a view from which the residual is no noise, whether reported or not
 MOST_TIED, MOST_TIED_UNIFORM = 3, 2  # classes in a tie at most, and in records of uniform motion
 Estimates = Mapping[str, answer.Estimate]  # by the parameters' names
@@ -123,6 +124,7 @@ def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
     final, rounds, comparison = _after_withdrawal(case, outcome, proposal)
     last, named = rounds[-1], final.servo.effects[len(case.model.effects) :]
     left = comparison.left(case, final, named)
+    left = replace(left, flag=left.flag or last.outcome == "limit")
     undecided = undecided_names(last)
     base_fit = _refitted_to_all(case.dataset, case.base)
     whole = base_fit if final is case.base else _refitted_to_all(case.dataset, final)
@@ -177,14 +179,14 @@ def as_diagnosis(case: Case, c: Conclusion, whole: answer.WholeRecords, more: Ad
     model, dataset = case.model, case.dataset
     remains = NOTHING_LEFT if c.proposal else c.remains  # not known before the wider bounds are tried
     poor = dataset.poor_excitation
-    facts = Facts(c.verdict, c.gap, remains, c.effects, c.ties, c.parameters, c.unidentified, poor, model.wording)
+    facts = Facts(c.verdict, c.gap, remains, c.effects, c.ties, c.parameters, c.unidentified, poor, model.wording, _hindrance(c))
     lines = (
         (f"{TIGHT_BOUNDS} Proposed: {c.proposal}.",)
         if c.proposal
         else (*statement(facts), open_loop_line(whole, dataset.segments.seconds))
     )
     found = [f for r in case.records for f in r.findings]
-    own = [*bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c)]
+    own = [*bound_lines(model, c.base, c.parameters), *_velocity_caveat(case, c), *_clock_lines(case, c)]
     return answer.Diagnosis(
         verdict=c.verdict, statement=(*more.statement, *lines), effects=c.effects, ties=c.ties,
         experiment="" if c.proposal else experiment(facts), where=c.comparison.views, remains=remains, gap=c.gap,
@@ -197,6 +199,16 @@ def as_diagnosis(case: Case, c: Conclusion, whole: answer.WholeRecords, more: Ad
     )  # fmt: skip
 
 
+def _hindrance(c: Conclusion) -> str:
+    """Return why nothing can be named although something is missing for certain; empty where the motion or a tie is the reason."""
+    if c.rounds[-1].outcome == "limit":
+        return c.rounds[-1].decision
+    if c.remains.disturbance > DOMINANT_DISTURBANCE and not c.undecided:
+        size = f"{c.remains.disturbance:.0%} of the input"
+        return f"the model needs a disturbance of {size} to follow them; check columns, signs and units"
+    return ""
+
+
 def _unaligned(case: Case) -> bool:
     """True if it is not known how the positions of the records lie relative to each other."""
     return case.dataset.segments.velocity and len(case.records) > 1
@@ -207,6 +219,31 @@ def _velocity_caveat(case: Case, c: Conclusion) -> list[str]:
     names = (*(e.name for e in c.effects), *c.undecided)
     depends = c.remains.flag or any(find_effect(name).position_dependent for name in names)
     return [VELOCITY_CAVEAT] if _unaligned(case) and depends else []
+
+
+def _clock_lines(case: Case, c: Conclusion) -> list[str]:
+    """Return a line on each named effect that depends on time, where each record has a clock of its own: what its time means."""
+    given, fitted = case.dataset.segments, c.final.fit.simulator.segments
+    if not given.own_clocks:
+        return []
+    names, lines = [piece.name for piece in given.pieces], []
+    for effect in c.effects:
+        timing = find_effect(effect.name).timing
+        order = sorted(range(len(names)), key=lambda i: fitted.times[i])
+        if timing == "course" and fitted.times == given.times:
+            lines.append(f"{effect.name} begins anew in each record, since each has a clock of its own")
+        elif timing == "course":
+            lines.append(f"{effect.name} goes on from one record to the next in the order given: {', '.join(names)}")
+        elif timing == "event":
+            onset = c.final.fit.values[f"{effect.name}.onset"]
+            [*_, inside] = [i for i in order if fitted.times[i] <= onset] or order[:1]
+            local = given.times[inside] + onset - fitted.times[inside]
+            follow = ", ".join(names[i] for i in order)
+            lines.append(
+                f"{effect.name} sets in at {local:.4g} s by the clock of record {names[inside]}; its onset counts time over the "
+                f"records one after the other: {follow}"
+            )
+    return lines
 
 
 def _undetected(case: Case, c: Conclusion) -> dict[str, str]:
@@ -284,11 +321,15 @@ def choices_of(rounds: Sequence[SearchRound], undecided: Sequence[str], named: S
 def unnamed(last: SearchRound, narrow: str, left: Unexplained, mute: Sequence[str] = ()) -> str:
     """Return the verdict where nothing was named; where the motion is uniform, what shows at all has many likenesses.
 
+    Where a disturbance moves the servo as much as the input does, or the best effect stands in for something else, something is
+    missing for certain.
+
     `mute` are the model's parameters if the records tell none of them.
     """
     classes = {group(name) for name in undecided_names(last)}
     if not classes:
-        return "not_identifiable" if mute or (narrow and (left.flag or last.best)) else "none"
+        hidden = last.outcome == "limit" or left.disturbance > DOMINANT_DISTURBANCE
+        return "not_identifiable" if mute or hidden or (narrow and (left.flag or last.best)) else "none"
     many = MOST_TIED_UNIFORM if narrow else MOST_TIED
     return "tie" if len(classes) <= many and last.outcome != "withdrawn" else "not_identifiable"
 

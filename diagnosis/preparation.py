@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,17 +46,19 @@ def dataset_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT
     segments = Segments(h, width, bins, velocity, pieces)
     least = resolution / math.sqrt(12 * width) / 3
     moved = motion(segments, [r.y for r in long], resolution, max(STATE_SMOOTHING / 2, 2 * h))
-    excluded = excluded_effects(model)
+    shown = excitation(model, records)
+    excluded = excluded_effects(model, shown["lacks"])
     return Dataset(
-        segments, moved, resolution, least, excitation(model, records)["narrow"], excluded, model.linear,
+        segments, moved, resolution, least, shown["narrow"], excluded, model.linear,
         float(np.ptp(moved.theta)) if model.linear else 2 * math.pi, h >= SLOW_SAMPLING and not any(r.ahead for r in records),
     )  # fmt: skip
 
 
 def recorded_motion(dataset: Dataset) -> RecordedMotion:
     """Return what effects derive the limits of their parameters from."""
-    m = dataset.motion
-    return RecordedMotion(m.theta, m.v, m.u, m.time, dataset.turn, dataset.segments.seconds, dataset.linear)
+    m, s = dataset.motion, dataset.segments
+    time = dataset.time_at(s.consecutive(range(len(s.pieces)))) if s.own_clocks else m.time
+    return RecordedMotion(m.theta, m.v, m.u, time, dataset.turn, dataset.segments.seconds, dataset.linear)
 
 
 def limits(dataset: Dataset) -> dict[str, tuple[float, float]]:
@@ -71,12 +73,17 @@ def credible(dataset: Dataset) -> dict[str, tuple[float, float]]:
     return {key: ends for e in effects().values() if e.credible for key, ends in e.by_full_name(e.credible(m)).items()}
 
 
-def excluded_effects(model: Model) -> dict[str, str]:
-    """Return the effects that the servo of a model cannot lack, each with the reason."""
+def excluded_effects(model: Model, lacks: Collection[str] = ()) -> dict[str, str]:
+    """Return the effects that are no candidates, each with the reason: the servo of a model cannot lack them, the sensor cannot
+    show them, or the records lack (`lacks`) what they need."""
     law = find_law(model.friction)
     found = {e.name: reason for e in effects().values() if e.excluded and (reason := e.excluded(law))}
     turning = [e.name for e in effects().values() if e.once_per_turn and model.linear]
-    return found | {name: "needs a shaft that turns: this axis is linear" for name in turning}
+    found |= {name: "needs a shaft that turns: this axis is linear" for name in turning}
+    if model.output_kind == "velocity":
+        found |= {e.name: "needs a measured position: the output is a velocity" for e in effects().values() if e.follow}
+    lacking = {e.name: [need for need in e.needs if need in lacks] for e in effects().values()}
+    return found | {name: f"the records lack {' and '.join(needs)}" for name, needs in lacking.items() if needs}
 
 
 def fixed_values(h: float) -> dict[str, float]:

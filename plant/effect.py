@@ -9,6 +9,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import find_peaks, welch
 
 from bristle.common.errors import BristleError
 from bristle.model.system import System
@@ -17,7 +18,8 @@ from bristle.plant.law import Friction, FrictionLaw
 from bristle.plant.wording import Wording
 
 __all__ = [
-    "DRY_FRICTION", "OVER_INERTIA", "Context", "Coupling", "Effect", "Evidence", "Extension", "Limits", "RecordedMotion", "power",
+    "BOTH_DIRECTIONS", "BOTH_SIGNS", "DRY_FRICTION", "NEEDS", "OVER_INERTIA", "REVERSALS", "Context", "Coupling", "Effect",
+    "Evidence", "Extension", "Limits", "RecordedMotion", "power",
 ]  # fmt: skip
 
 SX = ca.SX
@@ -41,10 +43,15 @@ VIEWS = {  # quantities that a residual torque may be a function of
 }
 
 
+BOTH_DIRECTIONS, REVERSALS, BOTH_SIGNS = "motion in both directions", "reversals", "an input of both signs"
+NEEDS = (BOTH_DIRECTIONS, REVERSALS, BOTH_SIGNS)  # what records may lack so that an effect is indistinguishable from others
+
 DRY_FRICTION = ("Fc", "sigma0", "sigma1", "sigma2")  # normalised parameters that grow with the dry friction
 OVER_INERTIA = ("alpha2", "b", "load", *DRY_FRICTION)  # normalised parameters that have the inertia below them
 LONGEST_DELAY = 40  # sampling periods kept by what delays a measurement (1)
 
+RESONANCE_WINDOW = 4.0  # s: length of the windows over which a spectrum is averaged
+PEAK_PROMINENCE = 1.0  # of the logarithm of the power: least of a peak above what surrounds it
 FLAT = 1e-9  # smallest value whose logarithm is taken (1)
 
 
@@ -108,6 +115,18 @@ class Evidence:
     def coefficient(self, torque: Array) -> float:
         """Return the coefficient of a torque (n,) [N.m] in what the model leaves."""
         return float(self.regress(torque[:, None])[0][0])
+
+    def resonances(self, count: int) -> list[float]:
+        """Return the frequencies [Hz] at which the torque that an inertia with dry friction lacks has its highest peaks.
+
+        At most `count`, the highest first; from four periods in a window upwards. Source: welch1967 (averaged spectrum).
+        """
+        lacking = self.inertia * self.a + self.level * np.sign(self.v) - self.gain * self.u
+        window = min(len(lacking), round(RESONANCE_WINDOW / self.h))
+        frequency, power = welch(lacking, fs=1 / self.h, nperseg=window)
+        peaks, _ = find_peaks(np.log(power[4:] + 1e-300), prominence=PEAK_PROMINENCE)
+        highest = 4 + peaks[np.argsort(-power[4:][peaks], kind="stable")[:count]]
+        return [float(x) for x in frequency[highest]]
 
     def waves(self, least: int, most: int) -> list[float]:
         """Return the numbers of periods [1/rad] of which so many fit into a turn."""
@@ -242,8 +261,12 @@ class Effect(Extension):
         What the residual torque of a model without the effect is a function of: keys of `VIEWS`.
     excitation : str
         What a record must contain to show the effect.
+    needs : tuple of str
+        What of `NEEDS` the records must contain: without it they cannot show the effect, or only as another one.
     confounded : tuple of str
         Names of the effects it is easily taken for.
+    timing : str
+        How it depends on time: "event" if it happens once, "course" if it goes on, empty if it does not.
     sparse : bool
         True if it only acts beyond a limit, so that it may show in a few segments of a record.
     nonsmooth : bool
@@ -285,6 +308,8 @@ class Effect(Extension):
     residual: tuple[str, ...]
     excitation: str
     confounded: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    timing: str = ""
     sparse: bool = False
     nonsmooth: bool = False
     free_play: str = ""

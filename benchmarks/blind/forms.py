@@ -322,9 +322,7 @@ def encoder_play(rng: Generator, s: Setting) -> Shape:
 def asymmetric_viscous(rng: Generator, s: Setting) -> Shape:
     """In proportion to |v|; other form: to a power of it."""
     side, power = sign(rng), rng.uniform(1.2, 1.4) if s.other else 0.0
-    return Shape(
-        lambda m: {"asymmetric_viscous_coefficient": side * m, "asymmetric_viscous_power": power}, 1e-4, 2e-3, 0.03
-    )
+    return Shape(lambda m: {"asymmetric_viscous_coefficient": side * m, "asymmetric_viscous_power": power}, 1e-4, 2e-3, 0.03)
 
 
 def gear_loss(rng: Generator, s: Setting) -> Shape:

@@ -11,6 +11,7 @@ from scipy.signal import savgol_filter, welch
 
 from bristle.common.table import Array
 from bristle.diagnosis.modelfile import Model
+from bristle.plant.effect import BOTH_DIRECTIONS, BOTH_SIGNS, REVERSALS
 from bristle.records.record import Record
 
 VELOCITY_SMOOTHING = 0.02  # s: half-width of the parabola that gives the velocity
@@ -20,6 +21,8 @@ BANDWIDTH_POWER = 0.95  # of the input's power: share below its bandwidth
 TONE_POWER = 0.9  # of the speed's power: share of one tone from which on the motion is one oscillation
 RESOLVED_PERIODS = 5  # periods within a record from which on a tone is distinguished from slow motion
 REVERSAL_DWELL = 0.05  # s: least motion in one direction before and after a reversal
+LEAST_SHARE_BACK = 0.02  # of the motion: less of it in one of the directions is too little to show what differs between them
+FEWEST_REVERSALS = 2  # fewer do not show what happens after a reversal
 HALF_TURN = float(np.pi)  # rad
 COARSE_PERIOD = 0.02  # s: sampling period above which an input that changes between samples is poorly known
 SHORT_DURATION = 5.0  # s: duration of all records below which too few segments can be held out
@@ -33,7 +36,8 @@ VELOCITY_CAVEAT = (
 def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
     """Return what the records excite: plain numbers, and ``{"value", "unit"}`` for what has a unit.
 
-    ``narrow`` says why effects cannot be distinguished by their form, ``caveats`` what else the records cannot show.
+    ``narrow`` says why effects cannot be distinguished by their form, ``lacks`` what of `NEEDS` the records do not contain, and
+    ``caveats`` what else they cannot show.
     """
     length = "m" if model.linear else "rad"
     positions, velocities = zip(*(_motion(model, r) for r in records), strict=True)
@@ -67,9 +71,21 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         gain = model.parameters["b"]
         ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
         numbers["torque_range"] = {"lowest": ends[0], "highest": ends[1], "unit": "N" if model.linear else "N.m"}
+    numbers["lacks"] = _lacks(numbers)
     numbers["narrow"] = _poor_excitation(model, records, numbers)
     numbers["caveats"] = [*_caveats(model, numbers), *_caveats_of_several(model, records)]
     return numbers
+
+
+def _lacks(numbers: dict[str, Any]) -> list[str]:
+    """Return what of `NEEDS` the records do not contain."""
+    ahead, back, ends = numbers["forward_share"], numbers["backward_share"], numbers["input_range"]
+    found = {
+        BOTH_DIRECTIONS: min(ahead, back) < LEAST_SHARE_BACK * (ahead + back),
+        REVERSALS: numbers["reversals"] < FEWEST_REVERSALS,
+        BOTH_SIGNS: ends["lowest"] >= 0.0 or ends["highest"] <= 0.0,
+    }
+    return [need for need, missing in found.items() if missing]
 
 
 def _poor_excitation(model: Model, records: Sequence[Record], numbers: dict[str, Any]) -> str:
@@ -143,8 +159,8 @@ def _caveats_of_several(model: Model, records: Sequence[Record]) -> list[str]:
     found, spans = [], sorted((float(r.time[0]), float(r.time[-1])) for r in records)
     if any(later[0] <= earlier[1] for earlier, later in pairwise(spans)):
         found.append(
-            "times of the records overlap: a clock of its own is assumed for each, so that a drift or a step in time is "
-            "searched in each alike; log one time for all records if there may be one"
+            "times of the records overlap: a clock of its own is assumed for each, so that a step in time is searched with each "
+            "record as the last one, and a drift anew in each or from one to the next; log one time for all records if you can"
         )
     if model.output_kind == "velocity" and len(records) > 1:
         found.append(VELOCITY_CAVEAT)
@@ -182,8 +198,7 @@ def _caveats(model: Model, numbers: dict[str, Any]) -> list[str]:
             found.append("input stays below 5 Hz: compliance does not show; add a chirp")
     if numbers["speed_dominant_tone_share"] > TONE_POWER:
         found.append("one dominant frequency: effects of speed, position and time vary together")
-    ends = numbers["input_range"]
-    if ends["lowest"] >= 0.0 or ends["highest"] <= 0.0:
+    if BOTH_SIGNS in numbers["lacks"]:
         found.append("input of one sign: a gain that differs between the signs does not show")
     if numbers["duration"]["value"] < 20.0:
         found.append(f"{numbers['duration']['value']:.3g} s in all: slow drift does not show")

@@ -50,8 +50,9 @@ def estimate_input_share(dataset: Dataset, fitted: FittedModel) -> InputShare | 
 
 def _predicted(dataset: Dataset, fitted: FittedModel, share: float) -> tuple[float, Fit]:
     """Return the log-likelihood that a step predicts with a mixed input [nats], and the fit, under the noise of its residual."""
-    pieces = tuple(replace(piece, u=mixed(piece.u, share)) for piece in dataset.segments.pieces)
-    simulator = fitted.servo.simulator(replace(dataset.segments, pieces=pieces))
+    segments = fitted.fit.simulator.segments
+    pieces = tuple(replace(piece, u=mixed(piece.u, share)) for piece in segments.pieces)
+    simulator = fitted.servo.simulator(replace(segments, pieces=pieces))
     fit = evaluate(fitted.problem, Point(simulator, fitted.fit.free, fitted.fit.values, fitted.fit.initial))
     return value_under_noise(fit, partial(under_own_noise, dataset))
 

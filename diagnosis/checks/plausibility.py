@@ -27,6 +27,8 @@ READING_RATIO = 3.0  # factor by which another reading of the columns must lower
 CLEARER_RATIO = 1.5  # the same if that reading gives the nominal inertia and the given one does not, and for the sign
 NOMINAL_RATIO = 0.7  # the same if it also gives the other nominal values, from which the given reading is far
 EXPLAINED_SHARE = 0.8  # of the torque: least that another reading must explain
+UNSIGNED_SHARE = 0.005  # of the samples: most that are below zero in a speed without its sign
+EITHER_SIGN_SHARE = 0.1  # of the samples: least of each sign in an input that drives both ways
 BEYOND_BOUNDS = 1.5  # factor outside its bounds from which on an estimate is a finding
 # logarithms of the factors of (J, a2, Fc) by a column that is too large by a factor of e
 CAUSES = {"input": (1.0, 1.0, 1.0), "output": (-1.0, -1.0, 0.0), "time": (2.0, 1.0, 0.0)}
@@ -50,6 +52,8 @@ class Plausibility:
 def check(model: Model, records: Sequence[Record]) -> Plausibility:
     """Compare what a regression on the records gives with the model's nominal values."""
     found = _regression(model, records)
+    if line := _unsigned(model, records, found):
+        return Plausibility((line,), ())
     if found is None:
         return Plausibility((), ("too little motion to check signs and units",))
     fit: dict[str, dict[str, float] | float] = {
@@ -62,6 +66,21 @@ def check(model: Model, records: Sequence[Record]) -> Plausibility:
     if whole and (not single or len(single) > len(records) / 2):
         return Plausibility((whole,), findings, fit)
     return Plausibility(single, findings, fit)  # a mistake in one record may not show in all together, or only blur them
+
+
+def _unsigned(model: Model, records: Sequence[Record], found: Regression | None) -> str | None:
+    """Return a proposal where the output looks like a speed without its sign, as a pulse counter gives it."""
+    y, u = (np.concatenate([getattr(record, name) for record in records]) for name in ("y", "u"))
+    one_sign = min(np.mean(y < 0), np.mean(y > 0)) <= UNSIGNED_SHARE
+    if model.output_kind != "velocity" or not one_sign or min(np.mean(u < 0), np.mean(u > 0)) < EITHER_SIGN_SHARE:
+        return None
+    share = 0.0 if found is None else explained_share(found.rows)[0]
+    if share > EXPLAINED_SHARE:  # a drive that brakes with the input, say
+        return None
+    return (
+        f"output looks like a speed without its sign: '{model.output.column}' keeps one sign under an input of both, and as given "
+        f"the model explains {share:.0%} of the torque; restore the sign, or measure the position"
+    )
 
 
 def _proposals_by_record(model: Model, records: Sequence[Record]) -> Iterator[str]:

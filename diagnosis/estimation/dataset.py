@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,40 @@ class Segments(Grid):
     """
 
     pieces: tuple[Piece, ...]
+
+    def timed(self, times: Sequence[float]) -> Segments:
+        """Return the same with other times of the first samples of the records [s]."""
+        return replace(self, pieces=tuple(replace(piece, time=time) for piece, time in zip(self.pieces, times, strict=True)))
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Times of the first samples of the records [s]."""
+        return tuple(piece.time for piece in self.pieces)
+
+    def consecutive(self, order: Sequence[int]) -> tuple[float, ...]:
+        """Return times of the first samples [s] with which the records, in this order, follow one another without a gap."""
+        seconds = [self.h * len(self.pieces[i].u) for i in order]
+        begins = dict(zip(order, min(self.times) + np.cumsum([0.0, *seconds[:-1]]), strict=True))
+        return tuple(float(begins[i]) for i in range(len(order)))
+
+    @property
+    def own_clocks(self) -> bool:
+        """True if times of the records overlap, so that each has a clock of its own."""
+        spans = sorted((piece.time, piece.time + self.h * len(piece.u)) for piece in self.pieces)
+        return any(later[0] < earlier[1] - self.h / 2 for earlier, later in pairwise(spans))
+
+    def clocks(self, timing: str) -> list[tuple[float, ...]]:
+        """Return the times of the first samples that an effect of a `timing` (see `Effect`) calls for, each as of `timed`.
+
+        Where each record has a clock of its own, nothing says which was measured first: an event is tried with each record as
+        the last one, a course as beginning anew in each record, and as going on from one to the next in the order given.
+        """
+        if not (timing and self.own_clocks):
+            return [self.times]
+        places = range(len(self.pieces))
+        if timing == "course":
+            return [self.times, self.consecutive(places)]
+        return [self.consecutive([*(i for i in places if i != last), last]) for last in reversed(places)]
 
     @property
     def measured(self) -> Array:
@@ -179,6 +214,11 @@ class Dataset:
         every = self.segments.counted & (self.segments.block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
         last = np.arange(len(free)) == np.flatnonzero(self.segments.counted)[-1]
         return next(np.asarray(mask) for mask in (every & free, every, last) if mask.any())
+
+    def time_at(self, times: Sequence[float]) -> Array:
+        """Return the time of each sample of the motion [s] with other times of the first samples of the records."""
+        shift = np.array(times) - np.array(self.segments.times)
+        return np.asarray(self.motion.time + shift[self.motion.record])
 
     def noise(self, residual: Array, weight: Array, values: Mapping[str, float], slowest: float = 0.0) -> Noise:
         """Return the noise of a residual (segments, bins), from the segments in motion; `slowest` as of `estimate`.

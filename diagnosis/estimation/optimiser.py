@@ -35,12 +35,18 @@ NONSMOOTH_GAIN = 5.0  # nats: least gain for which a result of these rounds is t
 LOAD_PASSES = 6  # most alternations of the load's initial place and all parameters
 
 
-def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
-    """Return the step of the parameters (free,), of the initial states (segments, width), and the predicted gain [nats]."""
-    gradient = fit.weight @ fit.slopes
+def _gradient(fit: Fit) -> Array:
+    """Return the gradient of the log-likelihood, prior knowledge included (free,), on the scale of each parameter's steps."""
+    gradient = np.asarray(fit.weight @ fit.slopes)
     for i, f in enumerate(fit.free):
         if f.nominal is not None:
             gradient[i] += (f.nominal - f.scaled(fit.values[f.name])) / f.prior_sd**2
+    return gradient
+
+
+def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
+    """Return the step of the parameters (free,), of the initial states (segments, width), and the predicted gain [nats]."""
+    gradient = _gradient(fit)
     active = np.ones(len(fit.free), dtype=bool)
     step = np.zeros(len(fit.free))
     for _ in range(len(fit.free) + 1):  # parameters that would leave their interval stay
@@ -61,6 +67,24 @@ def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
 def predicted_gain(fit: Fit) -> float:
     """Return the gain that the next step predicts [nats]."""
     return _direction(fit, FIT_DAMPING)[2]
+
+
+def pressed_bounds(fit: Fit, prefix: str) -> dict[str, float]:
+    """Return the parameters of one name's beginning that end at a bound other than 0, each with the gain beyond it [nats].
+
+    The gain is that predicted where the bound is taken away and all parameters within their intervals follow.
+    """
+    gradient, inside = _gradient(fit), [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])]
+    found = {}
+    for i, f in enumerate(fit.free):
+        if not (f.name.startswith(prefix) and f.at_binding_bound(fit.values[f.name])):
+            continue
+        active = [*inside, i]
+        curvature = fit.information[np.ix_(active, active)]
+        step = np.linalg.lstsq(curvature, gradient[active], rcond=1e-12)[0]
+        if f.leaves(fit.values[f.name], float(step[-1])):
+            found[f.name] = 0.5 * float(gradient[active] @ step)
+    return found
 
 
 def refit(problem: Problem, start: Point, iterations: int = FIT_ITERATIONS, stop_gain: float = STOP_GAIN) -> Fit:

@@ -46,6 +46,7 @@ class Facts:
     unidentified: Sequence[str] = ()  # the model's parameters if the records determine none of them
     narrow: str = ""  # why the motion is too poor to distinguish effects
     wording: Wording = ROTARY
+    hindrance: str = ""  # why nothing can be named, where that is not the motion or a tie
 
 
 # -- names ---------------------------------------------------------------------------------------------------------------
@@ -165,6 +166,7 @@ def _without_name(facts: Facts) -> Iterator[str]:
         yield f"The output hardly follows the input: {unknown}. {check}."
     elif facts.verdict == "not_identifiable":
         why = "too many effects explain it equally well" if facts.ties else "the motion in the records is too uniform"
+        why = facts.hindrance or why
         yield f"Something is missing, but these records cannot identify it: {why}."
 
 

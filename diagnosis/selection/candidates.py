@@ -146,17 +146,18 @@ def _null(context: SearchContext, tried: Sequence[Candidate]) -> Null:
 def evaluate_starts(context: SearchContext, name: str, effort: Effort) -> Candidate:
     """Return an effect at the start value with the largest predicted likelihood, and the next best ones."""
     fit = context.fit
-    try:
-        simulator = context.fitted.servo.simulator(fit.simulator.segments, (name,))
-    except BristleError as error:
-        return Candidate(name, None, reason=str(error))
     trials, explained = [], []
-    for start in (*context.start_values(name, context.evidence), *bristle_starts(context.fitted, name)):
-        values = {f"{name}.{k}": v for k, v in start.items()}
-        first = _fit_at(context, simulator, name, start, (values, fit.initial))
-        explained.append(_explained(context, first, len(first.free) - len(context.fitted.servo.free_beside(name))))
-        trials.append(value_under_noise(first, context.screening_noise))
-    for joint in context.joint_starts(name):
+    for times in context.clocks(name):
+        try:
+            simulator = context.fitted.servo.simulator(fit.simulator.segments.timed(times), (name,))
+        except BristleError as error:
+            return Candidate(name, None, reason=str(error))
+        for start in (*context.start_values(name, context.evidence_at(times)), *bristle_starts(context.fitted, name)):
+            values = {f"{name}.{k}": v for k, v in start.items()}
+            first = _fit_at(context, simulator, name, start, (values, fit.initial))
+            explained.append(_explained(context, first, len(first.free) - len(context.fitted.servo.free_beside(name))))
+            trials.append(value_under_noise(first, context.screening_noise))
+    for joint in context.joint_starts(name) if simulator.segments.times == context.dataset.segments.times else ():
         alone = {key: value for key, value in joint.values.items() if key.startswith(f"{name}.")}
         # with the parameters of the inverse dynamics, and with those of the simulated model: either may be closer
         for place in ((joint.values, context.fitted.problem.initial), (alone, fit.initial)):

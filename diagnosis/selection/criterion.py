@@ -21,7 +21,7 @@ from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
-Outcome = Literal["none", "rejected", "tie", "added", "withdrawn"]
+Outcome = Literal["none", "rejected", "limit", "tie", "added", "withdrawn"]
 CONTENDER_SHARE = 0.2  # of the best gain: least gain of a candidate that is refitted under the best one's noise
 NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
 LEAST_FALL = 1.2  # factor by which the mean squared error must fall
@@ -55,7 +55,9 @@ class SearchRound:
     gain: float = 0.0  # of the best one [nats]
     ties: tuple[str, ...] = ()  # other candidates that the records do not distinguish from it
     decision: str = ""  # what was decided and why, for the report; empty until it is
-    outcome: Outcome = "none"  # the same as a word: of a candidate that was `withdrawn`, the effect was added and later removed
+    # the same as a word: "limit" where a parameter of the best candidate presses against the end of its interval, so that it stands
+    # in for something else; of a candidate that was "withdrawn", the effect was added and later removed
+    outcome: Outcome = "none"
     finer_gain: float | None = None  # gain with finer steps of the simulation [nats]
 
     @property

@@ -122,7 +122,7 @@ def backward_elimination(context: SearchContext, base: FittedModel, gain: float,
     fitted, train, removed = context.fitted, context.dataset.train, []
     added = [name for name in fitted.servo.effects if name not in base.servo.effects]
     for name in added[:-1]:
-        less = _without(fitted, context.dataset, base, name)
+        less = _without(fitted, base, name)
         rise, loss = fall(squares(less.fit, train), squares(fitted.fit, train)), fitted.fit.total - less.fit.total
         if (rise < LEAST_FALL and loss < DOUBTLESS_LEVELS * level) or (rise < STRONG_FALL and loss < STRONG_SHARE * gain):
             fitted = less
@@ -130,7 +130,7 @@ def backward_elimination(context: SearchContext, base: FittedModel, gain: float,
     return fitted, removed
 
 
-def _without(fitted: FittedModel, dataset: Dataset, base: FittedModel, name: str) -> FittedModel:
+def _without(fitted: FittedModel, base: FittedModel, name: str) -> FittedModel:
     """Return a model refitted without one of its effects; without effects of bristles with those of the base model."""
     effects = tuple(each for each in fitted.servo.effects if each != name)
     rigid = base.servo.rigid and not set(effects) & set(BRISTLE_EFFECTS)
@@ -139,5 +139,5 @@ def _without(fitted: FittedModel, dataset: Dataset, base: FittedModel, name: str
     servo = replace(fitted.servo, effects=effects, free=(*own, *more), rigid=rigid)
     bristles = {f.name: base.fit.values[f.name] for f in own if rigid and OWN_BRISTLES in f.name}
     values = {**base.fit.values, **fitted.fit.values} | bristles
-    start = Point(servo.simulator(dataset.segments), servo.free, values, fitted.fit.initial)
+    start = Point(servo.simulator(fitted.fit.simulator.segments), servo.free, values, fitted.fit.initial)
     return FittedModel(servo, fitted.problem, refit(fitted.problem, start))

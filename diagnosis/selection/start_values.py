@@ -96,6 +96,18 @@ class SearchContext:
         """Function of an effect's name that returns start values of effect and model together, if the model fits poorly."""
         return joint_starts_of(self, has_diverged(self.dataset, self.fit)) if self.fits_poorly else lambda name: ()
 
+    def clocks(self, name: str) -> list[tuple[float, ...]]:
+        """Return the times of the first samples of the records with which an effect is tried, as of `Segments.timed`.
+
+        An effect in the model that depends on time has settled them.
+        """
+        settled = any(find_effect(other).timing for other in self.fitted.servo.effects)
+        return [self.fit.simulator.segments.times] if settled else self.dataset.segments.clocks(find_effect(name).timing)
+
+    def evidence_at(self, times: tuple[float, ...]) -> Evidence:
+        """Return what effects derive their start values from, with these times of the first samples."""
+        return replace(self.evidence, time=self.dataset.time_at(times))
+
     def start_values(self, name: str, evidence: Evidence) -> list[Start]:
         """Return start values of an effect: those of the options, and those that it derives from evidence."""
         derive = find_effect(name).starts

@@ -10,9 +10,18 @@ import numpy as np
 from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
+from bristle.diagnosis.estimation.optimiser import pressed_bounds
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
 from bristle.diagnosis.selection.candidates import EXHAUSTIVE, HOPEFUL_LEVELS, QUICK, Candidate, Effort, fit_candidates
-from bristle.diagnosis.selection.criterion import AGREED_NATS, CERTAIN_LEVELS, CLEAR_LEVELS, SearchRound, accept_or_reject, group
+from bristle.diagnosis.selection.criterion import (
+    AGREED_NATS,
+    CERTAIN_LEVELS,
+    CLEAR_LEVELS,
+    NATS_PER_PARAMETER,
+    SearchRound,
+    accept_or_reject,
+    group,
+)
 from bristle.diagnosis.selection.detection_limit import NOT_CONFIRMED
 from bristle.diagnosis.selection.discretisation import numerical
 from bristle.diagnosis.selection.null_distribution import Null
@@ -116,6 +125,12 @@ def decide(context: SearchContext, found: SearchRound, first_gain: float | None)
     if found.finer_gain is not None and numerical(found.gain, found.finer_gain, found.level):
         why = f"'{name}' is a numerical artefact: its gain vanishes with finer steps of the simulation"
         return found.rejected(why, keep_ties=True)
+    assert found.best.fit is not None
+    pressed = {key: gain for key, gain in pressed_bounds(found.best.fit, f"{name}.").items() if gain > NATS_PER_PARAMETER}
+    if pressed:
+        ends = " and ".join(f"{key} at {found.best.fit.values[key]:.3g}" for key in pressed)
+        why = f"'{name}' would explain most with {ends}, the end of what it can be: it stands in for something else"
+        return replace(found, decision=why, outcome="limit", ties=())
     return replace(found, outcome="added")
 
 

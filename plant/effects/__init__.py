@@ -9,7 +9,7 @@ from bristle.common.errors import BristleError, suggest
 from bristle.common.plugins import catalogue_modules
 from bristle.model.declarations import checked_declarations
 from bristle.model.normalised import OBSERVED
-from bristle.plant.effect import VIEWS, Effect
+from bristle.plant.effect import NEEDS, VIEWS, Effect
 from bristle.plant.wording import ROTARY, Wording
 
 __all__ = ["effect", "effects", "separation"]
@@ -35,6 +35,7 @@ def _check(effect: Effect, known: Mapping[str, Effect]) -> None:
         _must_know(key, names, own, "parameter of the effect")
     _must_know("residual", effect.residual, list(VIEWS), "view")
     _must_know("without_truth", effect.without_truth, list(OBSERVED), "normalised parameter")
+    _must_know("needs", effect.needs, list(NEEDS), "thing that records may lack")
     _must_know("confounded", effect.confounded, list(known), "effect")
     _must_know("group", effect.group.split("/"), list(known), "effect")
     if effect.name not in effect.group.split("/"):

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
+from bristle.plant.effect import BOTH_DIRECTIONS, DRY_FRICTION, Context, Effect, Evidence
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -31,6 +31,7 @@ EFFECT = Effect(
     equation="Fc (1 + alpha sgn v)",
     residual=("direction",),
     excitation="both directions, at two levels of friction: at one of them it equals a bias",
+    needs=(BOTH_DIRECTIONS,),
     confounded=("bias",),
     parameters=(
         Parameter("asymmetric_coulomb.share", "alpha", "1", 0.2, -1.0, 1.0, "excess forward, lack backward", "armstrong1994"),

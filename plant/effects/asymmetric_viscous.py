@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import BOTH_DIRECTIONS, Context, Effect, Evidence
 
 
 def torque(c: Context) -> ca.SX:
@@ -31,6 +31,7 @@ EFFECT = Effect(
     equation="k |v|",
     residual=("v", "direction"),
     excitation="both directions at varied speed",
+    needs=(BOTH_DIRECTIONS,),
     confounded=("asymmetric_coulomb", "gain_asymmetry"),
     parameters=(
         Parameter(

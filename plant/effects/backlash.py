@@ -7,7 +7,7 @@ import math
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import OVER_INERTIA, Context, Coupling, Effect, Evidence, power
+from bristle.plant.effect import OVER_INERTIA, REVERSALS, Context, Coupling, Effect, Evidence, power
 
 CONTACT_DEPTH = 1e-3  # rad: deformation of the contact at which its torque does not depend on the exponent
 
@@ -25,13 +25,14 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return plays from a few steps of the sensor upwards, of a light load and of a heavy one, with a contact of 50 Hz."""
+    """Return plays from a few steps of the sensor upwards, of a light load and of a heavy one, with a contact of 50 Hz; and some
+    with a contact where the spectrum has its clearest peak."""
     plays = [4 * e.resolution * 2.0**k for k in range(7)]
-    contact = e.inertia * (2 * math.pi * 50.0) ** 2
+    usual = [(share, play, 50.0) for share in (0.25, 0.6) for play in plays]
+    seen = [(0.4, play, frequency) for frequency in e.resonances(1) for play in plays[1::2]]
     return [
-        {"share": share, "play": play, "stiffness": share * (1 - share) * contact, "dissipation": 1.5}
-        for share in (0.25, 0.6)
-        for play in plays
+        {"share": share, "play": play, "stiffness": share * (1 - share) * e.inertia * (2 * math.pi * f) ** 2, "dissipation": 1.5}
+        for share, play, f in (*usual, *seen)
     ]
 
 
@@ -45,6 +46,7 @@ EFFECT = Effect(
     residual=("history",),
     free_play="play",
     excitation="reversals",
+    needs=(REVERSALS,),
     confounded=("input_delay", "presliding", "compliance"),
     parameters=(
         Parameter("backlash.share", "r", "1", 0.5, 1e-3, 0.999, "load inertia over the whole J", "nordin2002"),

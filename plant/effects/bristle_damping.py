@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import REVERSALS, Context, Effect, Evidence
 from bristle.plant.effects.presliding import displacements
 
 
@@ -32,6 +32,7 @@ EFFECT = Effect(
     equation="F = sigma0 z + sigma1 z', z' = v - sigma0 |v| z / Fc",
     residual=("history", "a"),
     excitation="small fast motion; rarely identifiable",
+    needs=(REVERSALS,),
     confounded=("presliding",),
     parameters=(
         Parameter("bristle_damping.stiffness", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "stiffness of the bristles", "canudas1995"),

@@ -20,9 +20,10 @@ def coupling(c: Context, twist: ca.SX, rate: ca.SX) -> Coupling:
 
 
 def starts(e: Evidence) -> list[dict[str, float]]:
-    """Return resonances of the whole from 8 to 80 Hz, lightly damped, with a third of the inertia behind the spring."""
+    """Return resonances of the whole where the spectrum has peaks and from 8 to 80 Hz, lightly damped, with a third of the inertia
+    behind the spring."""
     share, starts = 0.3, []
-    for frequency in (8.0, 14.0, 25.0, 45.0, 80.0):
+    for frequency in (*e.resonances(2), 8.0, 14.0, 25.0, 45.0, 80.0):
         stiffness = share * (1 - share) * e.inertia * (2 * math.pi * frequency) ** 2
         damping = 0.1 * (stiffness * share * e.inertia) ** 0.5
         starts.append({"share": share, "stiffness": stiffness, "damping": damping})

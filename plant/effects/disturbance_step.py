@@ -40,6 +40,7 @@ EFFECT = Effect(
     group="disturbance_step",
     equation="T = D clip((t - t0)/rise, 0, 1)",
     residual=("t",),
+    timing="event",
     nonsmooth=True,
     excitation="a record that lasts beyond the onset",
     confounded=("friction_drift", "bias"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.model.variables import Parameter, State
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import REVERSALS, Context, Effect, Evidence
 
 
 def follow(c: Context, theta: ca.SX, v: ca.SX) -> dict[str, ca.SX]:
@@ -37,6 +37,7 @@ EFFECT = Effect(
     equation="y = theta + e, e' = -v within |e| <= b/2",
     residual=("history",),
     excitation="reversals",
+    needs=(REVERSALS,),
     confounded=("backlash", "presliding", "input_delay"),
     parameters=(Parameter("encoder_play.play", "b", "rad", 0.01, 0.0, 10.0, "play between motor and encoder", "tao1996"),),
     order=-1,

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
+from bristle.plant.effect import BOTH_DIRECTIONS, DRY_FRICTION, Context, Effect, Evidence
 
 SMALL = 1e-4  # of the settling: where three terms of its series are exact
 
@@ -37,6 +37,8 @@ EFFECT = Effect(
     equation="Fc max(1 + r (1 - exp(-s t))/s, 0) sgn v",
     residual=("t x direction",),
     excitation="a long record",
+    needs=(BOTH_DIRECTIONS,),
+    timing="course",
     confounded=("disturbance_step", "position_friction"),
     parameters=(
         Parameter("friction_drift.rate", "r", "1/s", 0.02, -1e3, 1e3, "relative change in a second, at first", "armstrong1994"),

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import BOTH_DIRECTIONS, BOTH_SIGNS, Context, Effect, Evidence
 
 
 def drive(c: Context) -> ca.SX:
@@ -31,6 +31,7 @@ EFFECT = Effect(
     equation="u + g |u|",
     residual=("u",),
     excitation="both signs of the input at varied load",
+    needs=(BOTH_DIRECTIONS, BOTH_SIGNS),
     confounded=("bias", "gravity", "asymmetric_coulomb"),
     parameters=(Parameter("gain_asymmetry.share", "g", "1", 0.1, -1.0, 1.0, "excess gain for u > 0, lack for u < 0", "tao1996"),),
     drive=drive,

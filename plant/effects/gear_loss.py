@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
+from bristle.plant.effect import BOTH_DIRECTIONS, DRY_FRICTION, Context, Effect, Evidence
 
 
 def bound(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -37,6 +37,7 @@ EFFECT = Effect(
     equation="mu |T_motor| sgn v, mu = mu_d where T_motor v > 0, else mu_b",
     residual=("u x direction",),
     excitation="varied load, driving and braking",
+    needs=(BOTH_DIRECTIONS,),
     confounded=("load_friction", "gain_asymmetry"),
     parameters=(
         Parameter("gear_loss.driving", "mu_d", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}, driving", "duclusaud2024"),

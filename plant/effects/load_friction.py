@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import DRY_FRICTION, Context, Effect, Evidence
+from bristle.plant.effect import BOTH_DIRECTIONS, DRY_FRICTION, Context, Effect, Evidence
 
 
 def bound(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -32,6 +32,7 @@ EFFECT = Effect(
     equation="mu |T_motor| sgn v",
     residual=("u x direction",),
     excitation="varied load at equal speed",
+    needs=(BOTH_DIRECTIONS,),
     confounded=("gear_loss", "gain_asymmetry", "back_emf"),
     parameters=(
         Parameter("load_friction.coefficient", "mu", "1", 0.1, 0.0, 0.99, "friction over transmitted {torque}", "duclusaud2024"),

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import DRY_FRICTION, Array, Context, Effect, Evidence, Limits, RecordedMotion
+from bristle.plant.effect import BOTH_DIRECTIONS, DRY_FRICTION, Array, Context, Effect, Evidence, Limits, RecordedMotion
 
 
 def factor(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -49,6 +49,7 @@ EFFECT = Effect(
     equation="Fc max(1 + A (sin(N theta + phi) + s2 sin(2 N theta) + c2 cos(2 N theta)), 0) sgn v",
     residual=("theta x direction",),
     excitation="many turns in both directions",
+    needs=(BOTH_DIRECTIONS,),
     confounded=("cogging", "load_friction", "friction_drift"),
     parameters=(
         Parameter("position_friction.amplitude", "A", "1", 0.4, -1.0, 1.0, "share of the friction that varies", "armstrong1994"),

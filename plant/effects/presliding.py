@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from bristle.model.variables import Parameter
-from bristle.plant.effect import Context, Effect, Evidence
+from bristle.plant.effect import REVERSALS, Context, Effect, Evidence
 
 
 def bristles(c: Context) -> tuple[ca.SX, ca.SX]:
@@ -37,6 +37,7 @@ EFFECT = Effect(
     equation="F = sigma0 z, z' = v - sigma0 |v| z / Fc",
     residual=("history",),
     excitation="reversals, with motion smaller than Fc/sigma0",
+    needs=(REVERSALS,),
     confounded=("bristle_damping", "stribeck", "backlash", "compliance"),
     parameters=(
         Parameter("presliding.stiffness", "sigma0", "N.m/rad", 0.8, 1e-6, 1e9, "stiffness of the bristles", "canudas1995"),

@@ -44,7 +44,8 @@ STRONG = {  # effects, each as strong as the friction or so
     "electrical_pole": {"time_constant": 0.01}, "backlash": {"stiffness": 50.0, "play": 0.03},
     "compliance": {"stiffness": 40.0}, "load_friction": {"coefficient": 0.2}, "hard_stop": {"upper": 0.3, "stiffness": 3.0},
     "friction_drift": {"rate": 0.05}, "disturbance_step": {"torque": 0.1}, "eccentric_encoder": {}, "position_friction": {},
-    "back_emf": {"constant": 0.03},
+    "back_emf": {"constant": 0.03}, "encoder_play": {"play": 0.02}, "asymmetric_viscous": {"coefficient": 0.01},
+    "gear_loss": {"driving": 0.2, "driven": 0.05},
 }  # fmt: skip
 
 

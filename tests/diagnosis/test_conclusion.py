@@ -42,6 +42,9 @@ def round_of(best: str | None = None, ties: tuple[str, ...] = (), withdrawn: boo
         (round_of("bias", ("gravity", "cogging", "stribeck")), "", LEFT, "not_identifiable"),
         (round_of("bias", ("asymmetric_coulomb", "gravity")), UNIFORM, LEFT, "tie"),  # of two classes
         (round_of("bias", withdrawn=True), UNIFORM, LEFT, "not_identifiable"),
+        (replace(round_of("bias"), outcome="limit"), "", QUIET, "not_identifiable"),  # it stands in for something else
+        (round_of(), "", replace(LEFT, disturbance=0.49), "none"),
+        (round_of(), "", replace(LEFT, disturbance=0.51), "not_identifiable"),
     ],
 )
 def test_verdict_without_a_name(last: SearchRound, narrow: str, left: Unexplained, verdict: str) -> None:

@@ -8,6 +8,9 @@ import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.checks.excitation import excitation
+from bristle.diagnosis.preparation import excluded_effects
+from bristle.plant.effect import BOTH_DIRECTIONS, BOTH_SIGNS, REVERSALS
+from bristle.plant.effects import effects
 
 H = 1e-3
 
@@ -154,3 +157,21 @@ def test_records_beside_each_other_have_caveats(tree, model):
     speeds = Model.from_dict(tree)
     assert has(excitation(speeds, records_from_arrays(speeds, [("a", t, u, y), ("b", t + 41, u, -y)])), begin)
     assert not has(described(speeds, t, u, y), begin)
+
+
+def test_what_the_records_lack_excludes_the_effects_that_need_it(model):
+    """A motion to and fro excludes nothing; one that never comes back all that differs between the directions, and all memory."""
+    t, u, y = swing()
+    both = excluded_effects(model, described(model, t, u, y)["lacks"])
+    one = excluded_effects(model, described(model, t, u, 3 * t + 0.2 * y)["lacks"])
+    assert both == {}
+    assert set(one) == {name for name, effect in effects().items() if {BOTH_DIRECTIONS, REVERSALS} & set(effect.needs)}
+    assert {"asymmetric_coulomb", "gain_asymmetry", "load_friction", "backlash", "encoder_play"} <= set(one)
+    assert one["backlash"] == "the records lack reversals"
+    assert described(model, t, np.abs(u), y)["lacks"] == [BOTH_SIGNS]
+    assert set(excluded_effects(model, [BOTH_SIGNS])) == {"gain_asymmetry"}
+
+
+def test_an_effect_that_only_shows_in_a_position_is_none_for_a_velocity(tree):
+    tree["output"] = {"column": "v", "kind": "velocity", "unit": "rad/s"}
+    assert excluded_effects(Model.from_dict(tree)) == {"encoder_play": "needs a measured position: the output is a velocity"}

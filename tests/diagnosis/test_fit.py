@@ -11,10 +11,11 @@ import pytest
 from bristle.diagnosis.estimation.fitted_model import relative_error, under_own_noise
 from bristle.diagnosis.estimation.initial_states import initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.likelihood import Elimination, Point, evaluate, initial_state_price, rescored, squares
-from bristle.diagnosis.estimation.optimiser import refit, refit_initial_states, refit_load, refit_nonsmooth, resume
+from bristle.diagnosis.estimation.optimiser import pressed_bounds, refit, refit_initial_states, refit_load, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.estimation.uncertainty import covariance
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
+from bristle.diagnosis.selection.criterion import NATS_PER_PARAMETER
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.diagnosis.selection.stepwise import evaluate_candidates
 
@@ -28,6 +29,8 @@ HIDDEN = {  # effect: (parameters it was simulated with, largest error relative 
     "friction_drift": ({"rate": 0.05}, 0.05),
     "compliance": ({"stiffness": 40.0, "share": 0.5}, 0.05),
     "quadratic_drag": ({"coefficient": 0.002}, 0.05),
+    "encoder_play": ({"play": 0.02}, 0.02),
+    "asymmetric_viscous": ({"coefficient": 0.01}, 0.05),
 }
 
 
@@ -342,3 +345,16 @@ def test_a_record_without_motion_has_a_relative_error_above_one(case):
     pieces = tuple(replace(piece, measured=0 * piece.measured) for piece in dataset.segments.pieces)
     still = replace(dataset, segments=replace(dataset.segments, pieces=pieces))
     assert relative_error(still, fit) > 1.0
+
+
+@pytest.mark.parametrize(("low", "high", "pressed"), [(0.02, 0.05, True), (0.02, 0.3, False), (0.0797, 0.3, False)])
+def test_a_bound_that_the_records_push_against_is_pressed(case, low, high, pressed):
+    """An amplitude of 0.08 N.m that may be 0.05 at most; one whose interval ends where the estimate is gains nothing beyond it."""
+    found = joined(case("cogging"), "cogging").fit
+    free = tuple(replace(f, low=low, high=high) if f.name == "cogging.amplitude" else f for f in found.free)
+    values = found.values | {"cogging.amplitude": min(max(found.values["cogging.amplitude"], low), high)}
+    problem = case("cogging").base.problem
+    fit = refit(problem, Point(found.simulator, free, values, found.initial))
+    gains = pressed_bounds(fit, "cogging.")
+    assert bool({key for key, gain in gains.items() if gain > NATS_PER_PARAMETER}) is pressed
+    assert pressed_bounds(fit, "gravity.") == {}

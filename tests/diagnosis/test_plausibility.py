@@ -168,3 +168,16 @@ def test_any_law_has_a_level_or_none(friction, positions, tree):
     [line] = said(model, positions["bias"], lambda t, u, y: (t, -u, y)).proposals
     assert "flipped" in line
     assert math.isfinite(said(model, positions["bias"]).fit["J"]["value"])
+
+
+def test_a_speed_without_its_sign_is_proposed_and_a_drive_that_brakes_is_not(velocities, tree):
+    """|v| under an input of both signs; a motion that never reverses although the input does is described by the model."""
+    model = declared(tree, "velocity")
+    [line] = said(model, velocities["bias"], lambda t, u, v: (t, u, np.abs(v))).proposals
+    assert line.startswith("output looks like a speed without its sign: 'theta' keeps one sign")
+    assert said(model, velocities["bias"]).proposals == ()
+    t = 1e-3 * np.arange(12000)
+    v, rate = 5 + 3 * np.sin(3 * t), 9 * np.cos(3 * t)
+    u = 0.1 * rate + 0.02 * v + 0.12  # of ten times the inertia
+    assert (u < 0).mean() > 0.2
+    assert said(declared(tree, "velocity", (10.0, 1.0, 1.0)), [(t, u, v)]).proposals == ()

@@ -30,6 +30,7 @@ WITH = {  # an effect, away from the ends of its intervals
     "dead_zone": {"width": 0.06},
     "input_delay": {"delay": 0.0063},
     "presliding": {"stiffness": 9.0},
+    "encoder_play": {"play": 0.03},
 }
 
 
@@ -239,3 +240,34 @@ def test_a_forked_process_does_not_wait_for_threads_it_has_not(segments):
     child.kill()
     assert not hangs
     np.testing.assert_array_equal(answers.get(), here)
+
+
+def two_records(times):
+    t, u = swing(1.6)
+    return Segments(
+        H, WIDTH, BINS, False, tuple(cut(name, time, u, 0 * t, GRID, 4e-4) for name, time in zip("abc", times, strict=False))
+    )
+
+
+def test_records_with_clocks_of_their_own_are_put_one_after_the_other():
+    """An event with each record as the last one; a course anew in each record, or on through all of them."""
+    own, session = two_records([2.0, 2.0, 2.0]), two_records([2.0, 4.0, 6.0])
+    assert own.own_clocks
+    assert not session.own_clocks
+    assert own.clocks("event") == [(2.0, 3.6, 5.2), (2.0, 5.2, 3.6), (5.2, 2.0, 3.6)]
+    assert own.clocks("course") == [(2.0, 2.0, 2.0), (2.0, 3.6, 5.2)]
+    assert own.clocks("") == [own.times]
+    assert session.clocks("event") == session.clocks("course") == [(2.0, 4.0, 6.0)]
+    assert own.timed((1.0, 2.0, 3.0)).times == (1.0, 2.0, 3.0)
+
+
+def test_an_event_acts_in_the_record_that_comes_last():
+    """Of two alike under alike inputs: only the output of the last one changes, from the moment that its time says."""
+    segments = two_records([0.0, 0.0])
+    plain = simulator(segments, (), False).run(VALUES, segments.initial)[0].reshape(2, -1)
+    step = {"disturbance_step.torque": 0.3, "disturbance_step.onset": 1.6 + 0.8}
+    for last, times in ((1, (0.0, 1.6)), (0, (1.6, 0.0))):
+        seen = simulator(segments.timed(times), ("disturbance_step",), False).run(VALUES | step, segments.initial)[0].reshape(2, -1)
+        np.testing.assert_allclose(seen[1 - last], plain[1 - last], atol=1e-12)
+        np.testing.assert_allclose(seen[last, :100], plain[last, :100], atol=1e-12)
+        assert np.max(np.abs(seen[last, 100:] - plain[last, 100:])) > 1e-2

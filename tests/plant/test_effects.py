@@ -28,7 +28,8 @@ LISTS = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(enc
 SHIPPED, SHIPPED_LAWS = tuple(LISTS["effects"]), tuple(LISTS["laws"])
 NAMES = tuple(effects())  # and extensions, which owe no more than what the tests of all names ask for
 GROUPS = (
-    {"bias", "asymmetric_coulomb"}, {"input_delay", "electrical_pole"}, {"presliding", "bristle_damping"}, {"load_friction", "gear_loss"},
+    {"bias", "asymmetric_coulomb"}, {"input_delay", "electrical_pole"}, {"presliding", "bristle_damping"},
+    {"load_friction", "gear_loss"},
 )  # fmt: skip
 # the parameter whose derivative is tested: the first one, but for these
 STRENGTH = {"bristle_damping": "damping", "backlash": "stiffness", "compliance": "stiffness"}
@@ -36,7 +37,9 @@ ALWAYS_ACTING = {"presliding", "bristle_damping", "electrical_pole", "backlash",
 SETTING = {"hard_stop.upper": 0.05, "disturbance_step.onset": 0.1, "backlash.play": 0.01, "saturation.limit": 2.5}
 SCALING = {"asymmetric_coulomb", "stribeck", "friction_drift", "position_friction"}
 BRISTLES = {"presliding", "bristle_damping"}
-REFUSED = {(name, "viscous") for name in SCALING | BRISTLES} | {(name, "modified_polynomial") for name in ("load_friction", "gear_loss")}
+REFUSED = {(name, "viscous") for name in SCALING | BRISTLES} | {
+    (name, "modified_polynomial") for name in ("load_friction", "gear_loss")
+}
 REFUSED |= {(name, other.name) for name in BRISTLES for other in laws().values() if other.states}
 
 
@@ -166,6 +169,18 @@ def test_start_values_are_finite_numbers_of_its_parameters(name, residual):
         assert all(math.isfinite(value) for value in start.values())
 
 
+@pytest.mark.parametrize("hertz", [3.2, 6.0, 12.0])
+def test_a_resonance_is_seen_in_the_torque_that_a_rigid_servo_lacks(hertz):
+    """That of a load of half the inertia behind a spring, at any frequency, driven by noise."""
+    share, t = 0.5, H * np.arange(30000)
+    spring = {"compliance.share": share, "compliance.stiffness": share * (1 - share) * J * (2 * math.pi * hertz) ** 2}
+    native = Native(every("viscous"), spring | {"compliance.damping": 1e-4}, "compliance")
+    u = np.repeat(np.random.default_rng(2).normal(0.0, 2.0, 3000), 10)
+    v = native.run(H, {"u": u}, ["v"])[0][:-1, 0]
+    evidence = Evidence(np.cumsum(v) * H, v, np.gradient(v, H), u, t, H, 1e-4, J, 0.0, B, lambda torques: (np.zeros(1), 0.0))
+    assert evidence.resonances(1)[0] == pytest.approx(hertz, rel=0.15)
+
+
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize("name", NAMES)
 def test_limits_from_records_are_intervals_of_its_parameters(name, linear):
@@ -258,7 +273,11 @@ def test_the_order_in_which_effects_are_named_does_not_matter():
 @pytest.mark.parametrize(
     ("law_name", "names", "text"),
     [
-        ("coulomb", ("coging",), "unknown effect 'coging' (did you mean 'cogging'?); known: asymmetric_coulomb, asymmetric_viscous"),
+        (
+            "coulomb",
+            ("coging",),
+            "unknown effect 'coging' (did you mean 'cogging'?); known: asymmetric_coulomb, asymmetric_viscous",
+        ),
         ("coulomb", ("bias", "bias"), "effect 'bias' is given twice"),
         ("coulomb", ("compliance", "backlash"), "effects 'backlash' and 'compliance' both put a second inertia"),
         ("coulomb", ("presliding", "bristle_damping"), "effects 'bristle_damping' and 'presliding' both put bristles under"),
