@@ -44,10 +44,10 @@ class Records:
     least: float
 
     @classmethod
-    def of(cls, dataset: Dataset, records: Sequence[Record]) -> Records:
-        """Return those of the records that a dataset holds."""
-        names = {piece.name for piece in dataset.segments.pieces}
-        kept = tuple(r for r in records if r.name in names)
+    def of(cls, dataset: Dataset, records: Sequence[Record], times: Sequence[float]) -> Records:
+        """Return those of the records that a dataset holds, with these times of their first samples [s] (see `Segments.clocks`)."""
+        shifts = {piece.name: time - piece.time for piece, time in zip(dataset.segments.pieces, times, strict=True)}
+        kept = tuple(replace(r, time=r.time + shifts[r.name]) for r in records if r.name in shifts)
         return cls(kept, dataset.segments.velocity, dataset.resolution, dataset.least_sd)
 
     @property

@@ -52,7 +52,8 @@ def refit_to_whole_records(case: Case, found: Conclusion) -> tuple[Conclusion, a
 
     Verdict, names and gap stay those of the segments.
     """
-    records, segment = Records.of(case.dataset, case.records), case.dataset.segments.seconds
+    times, segment = found.final.fit.simulator.segments.times, case.dataset.segments.seconds
+    records = Records.of(case.dataset, case.records, times)
     after = _Long(open_loop_servo(found.final.servo), _values(found.final.fit.values, found.parameters))
     before = after
     if found.final is not case.base:
@@ -90,6 +91,7 @@ def _whole_records(
     for r, y, first, last in whole:
         fits = fit_percent(y, first), fit_percent(y, last)
         rows.append(answer.RecordError(r.name, case.model.output_unit, rms(y - first), rms(y - last), *fits))
-        traces.append(answer.Trace(r.name, r.time[: len(y)], r.u[: len(y)], y, first, last, np.zeros(len(y), dtype=bool)))
+        time = next(given.time for given in case.records if given.name == r.name)
+        traces.append(answer.Trace(r.name, time[: len(y)], r.u[: len(y)], y, first, last, np.zeros(len(y), dtype=bool)))
     grown = after.grown
     return answer.WholeRecords(tuple(rows), horizons, grown.seconds, grown.whole, dict(segment_parameters), tuple(traces))
