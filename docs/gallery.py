@@ -32,7 +32,10 @@ J, A2, B, FC = 0.001, 0.002, 0.0065, 0.004  # defaults of the servo and of the C
 FORWARD, BACKWARD, PLAIN = "#1f6f8b", "#c8553d", "#9a9a9a"
 
 # Sizes at which an effect is well visible beside a friction torque of 0.004 N.m; otherwise the defaults.
-SIZES = {"saturation": {"limit": 2.5}, "input_delay": {"delay": 0.008}, "electrical_pole": {"time_constant": 0.008}}
+SIZES = {
+    "saturation": {"limit": 2.5}, "input_delay": {"delay": 0.008}, "electrical_pole": {"time_constant": 0.008},
+    "encoder_play": {"play": 0.3},
+}  # fmt: skip
 
 # View of the residual -> label and unit of the axis over which the torque is drawn.
 AXES = {

@@ -68,7 +68,7 @@ REFUSED: dict[str, tuple[Callable[[Columns], Columns], str, str]] = {
     "too few": (lambda c: (c[0][:150], c[1][:150], c[2][:150]), "150 samples", "record longer"),
     "constant input": (lambda c: (c[0], 0.1 + 0 * c[1], c[2]), "input is constant", "give a record in which it varies"),
     "no motion": (lambda c: (c[0], c[1], 0 * c[2]), "nothing moves", "give a record with motion"),
-    "NaN": (lambda c: (c[0], np.where(np.arange(len(c[1])) == 500, np.nan, c[1]), c[2]), "input is not finite", "repair"),
+    "NaN": (lambda c: (c[0], np.where(np.arange(len(c[1])) % 500 < 20, np.nan, c[1]), c[2]), "not finite", "repair"),
     "time runs back": (lambda c: (np.where(c[0] < 5, c[0], c[0] - 1), c[1], c[2]), "time decreases", "sort the record"),
     "milliseconds": (lambda c: (c[0] * 1e3, c[1], c[2]), "sampled every 1 s", "unit right (ms, us)"),
 }

@@ -122,7 +122,7 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(name):
     assert set(KEY.findall(effect.source)) & set(KEYS)
     slots = (
         effect.command, effect.drive, effect.torque, effect.factor, effect.bound, effect.output, effect.coupling,
-        effect.bristles, effect.rates,
+        effect.bristles, effect.rates, effect.follow,
     )  # fmt: skip
     assert any("Source:" in (slot.__doc__ or "") for slot in slots if slot)
 
