@@ -130,7 +130,8 @@ def test_a_correction_a_sample_late_is_seen(tmp_path):
 
 def test_these_effects_can_act_through_the_input():
     maps = {"back_emf", "dead_zone", "electrical_pole", "gain_asymmetry", "input_delay", "saturation"}
-    assert set(POSSIBLE) == maps | {"asymmetric_viscous", "bias", "cogging", "disturbance_step", "gravity", "hard_stop", "quadratic_drag"}
+    torques = {"asymmetric_viscous", "bias", "cogging", "disturbance_step", "gravity", "hard_stop", "quadratic_drag"}
+    assert set(POSSIBLE) == maps | torques
 
 
 @pytest.mark.parametrize("name", sorted(set(effects()) - set(POSSIBLE)))

@@ -34,8 +34,8 @@ PUBLIC = {
         "unstack", "unstack_symmetric", "vector_states",
     ],
     "bristle.plant.effect": [
-        "BOTH_DIRECTIONS", "BOTH_SIGNS", "Context", "Coupling", "DRY_FRICTION", "Effect", "Evidence", "Extension", "Limits", "NEEDS",
-        "OVER_INERTIA", "REVERSALS", "RecordedMotion", "power",
+        "BOTH_DIRECTIONS", "BOTH_SIGNS", "Context", "Coupling", "DRY_FRICTION", "Effect", "Evidence", "Extension", "Limits",
+        "NEEDS", "OVER_INERTIA", "REVERSALS", "RecordedMotion", "power",
     ],
     "bristle.plant.effects": ["effect", "effects", "separation"],
     "bristle.plant.friction": ["law", "laws"],
