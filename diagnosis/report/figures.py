@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from bristle.common.drawing import (
     BLUE,
-    DEGREES,
     GREEN,
     GREY,
     INK,
@@ -27,6 +26,8 @@ from bristle.common.drawing import (
     thin,
 )
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.report.axes import shown
+from bristle.diagnosis.report.open_loop import whole_figure
 from bristle.diagnosis.report.result import Diagnosis, Round, Trace, View
 from bristle.diagnosis.report.text import AXES, NATS, effect_name, view_name
 from bristle.plant.wording import Wording
@@ -43,16 +44,6 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOTE_LETTERS = 30  # letters of a note beside a bar
 NAME_WIDTH = 0.29  # part of the width of a figure for the names beside bars
 PER_ROW = 2  # rounds beside each other
-AXIS_UNITS = {  # SI unit -> factor and unit of a figure's axis
-    "rad": (DEGREES, "deg"), "rad/s": (DEGREES, "deg/s"), "rad/s2": (DEGREES, "deg/s²"),
-    "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "m/s2": (1.0, "m/s²"),
-    "N.m": (1.0, "N·m"), "1": (1.0, ""),
-}  # fmt: skip
-
-
-def shown(unit: str) -> tuple[float, str]:
-    """Return (factor, unit) for an axis in the units people read: degrees and millimetres."""
-    return AXIS_UNITS.get(unit, (1.0, unit))
 
 
 def view_axis(model: Model, view: str, period: float | None = None) -> tuple[float, str]:
@@ -82,6 +73,7 @@ def draw(diagnosis: Diagnosis) -> dict[str, str]:
             ("overlay", _overlay(diagnosis)),
             ("maps", _maps(diagnosis.where, model, improved(diagnosis))),
             ("candidates", _candidates(diagnosis)),
+            ("open_loop", _open_loop(diagnosis)),
         ):
             if figure is not None:
                 made[name] = svg(figure, name)
@@ -309,6 +301,13 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     set_labels(ax, x="gain, nats")
 
 
+# -- whole records -------------------------------------------------------------------------------------------------------
+def _open_loop(diagnosis: Diagnosis) -> Any:
+    if diagnosis.whole is None:
+        return None
+    return whole_figure(diagnosis.whole, diagnosis.model.output_kind, improved(diagnosis))
+
+
 def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     """Return title and caption of each figure."""
     both, torque = improved(diagnosis), diagnosis.model.wording.torque
@@ -319,12 +318,16 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     segments = "held-out segments, which took no part in the search"
     if as_given(diagnosis):
         segments = "all segments, of the model as it was given: nothing was fitted and no effect was tried"
+    usual = refitted = ""
+    if diagnosis.whole is not None and diagnosis.whole.refitted:
+        usual = " The parameters are those that the segments gave, before the refit to whole records."
+        refitted = f", parameters refitted to horizons of up to {diagnosis.whole.refitted_to:.3g} s"
     return {
-        "gap": ("Error of the model", f"Root of the mean squared error of the output over {segments}.{band}"),
+        "gap": ("Error of the model", f"Root of the mean squared error of the output over {segments}.{band}{usual}"),
         "overlay": (
             "Before and after" if both else "Measured and simulated",
             f"Each segment starts from its own fitted position and velocity.{before} "
-            "Shaded green: held-out segments, used neither for the search nor for these fits.",
+            f"Shaded green: held-out segments, used neither for the search nor for these fits.{usual}",
         ),
         "maps": (
             "Where the residual is",
@@ -338,5 +341,12 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
             f"Rise of the log-likelihood when the effect is added and all parameters are refitted, in nats ({NATS}). Shaded up "
             "to the dashed line: gains that chance gives in all but two of a thousand diagnoses without a missing effect. "
             "Blue: added; red: tied; pale: neither.",
+        ),
+        "open_loop": (
+            "Whole records in open loop",
+            f"The record that the model follows worst, simulated from its start to its end with nothing but the input{refitted}. "
+            "Only the position and the velocity at the start are fitted. Right: the rms error over all records, simulated anew, "
+            "with a fitted start, after so many seconds; the last point is that of whole records. FIT: 100 % less the rms error in "
+            "per cent of the rms deviation of the output from its mean.",
         ),
     }

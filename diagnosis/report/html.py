@@ -13,6 +13,7 @@ from bristle.common.html import badge, figure, number, page, table, unit
 from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P
 from bristle.diagnosis.localisation.unexplained import CERTAIN_P
 from bristle.diagnosis.report.figures import as_given, captions, improved
+from bristle.diagnosis.report.open_loop import whole_table
 from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Named
 from bristle.diagnosis.report.text import (
     NATS,
@@ -115,6 +116,8 @@ class _Writer:
         columns = {"refitted without effects": diagnosis.base} if diagnosis.base else {}
         if diagnosis.effects:
             columns["with " + listed([e.name for e in diagnosis.effects], "and")] = diagnosis.parameters
+        if diagnosis.whole is not None and diagnosis.whole.refitted:
+            columns["of the segments, before the refit to whole records"] = diagnosis.whole.segment_parameters
         for name, found in diagnosis.choice_parameters.items():
             columns[f"with {name}" + (" (chosen)" if name == choose else "")] = found
         units = {name: diagnosis.model.unit(name) for name in nominal}
@@ -177,6 +180,10 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
     elif not diagnosis.remains.flag:
         facts.append("The error is no larger than disturbance and sensor noise alone account for.")
     return f"<p>{' '.join(facts)}</p>"
+
+
+def _whole(diagnosis: Diagnosis) -> str:
+    return "" if diagnosis.whole is None else whole_table(diagnosis.whole, improved(diagnosis))
 
 
 def _unexplained(diagnosis: Diagnosis) -> str:
@@ -285,6 +292,7 @@ def render(
         _section("What fits equally well", _tie(diagnosis, writer, choose)),
         "" if settled else following,
         _section(words["gap"][0], _gap_facts(diagnosis) + drawn.get("gap", "")),
+        _section(words["open_loop"][0], _whole(diagnosis) + drawn.get("open_loop", "")),
         _section(words["overlay"][0], drawn.get("overlay", "")),
         _section(words["maps"][0], drawn.get("maps", "") + _views(diagnosis)),
         _section(words["candidates"][0], drawn.get("candidates", "")),

@@ -15,7 +15,7 @@ import numpy as np
 
 from bristle.common.metrics import rms
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Grid, Piece, Segments, cut, smooth
+from bristle.diagnosis.estimation.dataset import STATE_SMOOTHING, Dataset, Grid, Piece, Segments, cut
 from bristle.diagnosis.estimation.initial_states import refine_initial_states
 from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate
 from bristle.diagnosis.estimation.noise import white_noise
@@ -31,7 +31,7 @@ WHOLE_RATIO = 1.5  # a horizon that is this close to the longest record's length
 LEVEL_PASSES = 3  # fits to a horizon, each with the error of the one before as its noise
 LEVEL_FALL = 0.98  # ratio of the error to the one before from which on these fits end
 START_STEPS = 2  # steps of the starts of stretches where no parameter is fitted
-GENERALISES = 1.2  # factor by which the squared error falls in records that took no part in a refit, for it to be kept
+GENERALISES = 1.2  # factor by which the rms error falls in records that took no part in a refit, for it to be kept
 
 
 @dataclass(frozen=True)
@@ -95,10 +95,9 @@ def _stretches_of(record: Record, grid: Grid, resolution: float) -> Piece:
     more = max(0, n * length - len(record))
     u, y = np.pad(record.u, (0, more))[: n * length], np.pad(record.y, (0, more), mode="edge")[: n * length]
     piece = cut(record.name, float(record.time[0]), u, y, grid, resolution)
-    if not grid.velocity:  # at the start of a record the smoothed velocity lags or leads by half a window
-        ahead = np.arange(n) * length + max(2, round(STATE_SMOOTHING / record.h))
-        turning = math.sqrt(grid.bins) * np.abs(smooth(y, record.h, STATE_SMOOTHING, 1)[ahead] - piece.initial[:, 1])
-        piece = replace(piece, initial_sd=piece.initial_sd + np.column_stack([np.zeros(n), turning]))
+    if not grid.velocity:  # a smoothed velocity is that of the middle of its window, which the start of a record is not
+        window = record.h * np.arange(min(1 + 2 * max(2, round(STATE_SMOOTHING / record.h)), len(record)))
+        piece.initial[0] = np.polynomial.polynomial.polyfit(window, record.y[: len(window)], 2)[:2]
     ends = grid.width * (1 + np.arange(piece.measured.size)).reshape(piece.measured.shape)
     return replace(piece, measured=np.where(ends <= len(record), piece.measured, np.nan))
 
@@ -227,6 +226,6 @@ def generalises(servo: Servo, values: Mapping[str, float], records: Records, seg
         before, after = (
             fitted_error(with_fitted_starts(servo, each, stretches, records.least)) for each in (values, grown.fit.values)
         )
-        if not GENERALISES * after**2 <= before**2 or not math.isfinite(after):
+        if not GENERALISES * after <= before or not math.isfinite(after):
             return False
     return True
