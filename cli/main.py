@@ -1,6 +1,6 @@
-"""The command line: list, build, run, reproduce, init, diagnose.
+"""The command line: list, build, run, reproduce, init, diagnose, validate.
 
-Exit code 0: all verdicts pass (diagnose: it completed), 1: one failed, 2: an error, reported in one line.
+Exit code 0: all verdicts pass (diagnose, validate: it completed), 1: one failed, 2: an error, reported in one line.
 """
 
 from __future__ import annotations
@@ -427,6 +427,55 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
         print("  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
+# -- validate --------------------------------------------------------------------------------------------------------
+
+
+@app.command(
+    cls=DataCommand,
+    short_help="Compare a model or a plant FMU with records, in open loop.",
+    epilog="The columns are those of MODEL.toml (a model file, or the augmented.toml of a diagnosis). With an FMU alone, which must have "
+    "the parameters J, a2 and b, they are t [s], u [V] and theta [rad] or, of an FMU without it, v [rad/s]. "
+    "Exit code 0: it completed, however large the error; 2: an error.",
+)
+def validate(
+    model: Annotated[Path, typer.Argument(help="model file or plant FMU", metavar="MODEL.toml|PLANT.fmu", parser=_path)],
+    data: Annotated[list[Path], typer.Option(help="measured files or patterns", metavar="FILE...", parser=_path)],
+    out: Annotated[Path, typer.Option(help="folder for validation.json and report.html", metavar="FOLDER", parser=_path)] = Path(
+        "out"
+    ),
+    fmu: Annotated[
+        Path | None,
+        typer.Option(help="plant FMU to validate; MODEL.toml then gives the columns", metavar="PLANT.fmu", parser=_path),
+    ] = None,
+    timeout: Annotated[float | None, typer.Option(help="seconds that a simulation of an FMU may take", min=0.001)] = None,
+    debug: DebugOption = False,
+) -> None:
+    """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from what was measured."""
+    import shlex
+
+    from bristle import diagnosis
+    from bristle.common.output import output_folder
+    from bristle.diagnosis.whole.report import check_validation_places, origin, sentences, write_validation
+
+    data = files_of(data)
+    if model.suffix.lower() == ".fmu":
+        if fmu is not None:
+            raise BristleError(f"{model} and {fmu} are both FMUs; give one, and MODEL.toml for the columns")
+        fmu = model
+    check_validation_places(out, [model, *data, *([] if fmu is None else [fmu])])
+    with output_folder(out), _fraction("validate") as tell:
+        tell("reading", 0.0)
+        known = diagnosis.fmu_model(model) if model == fmu else diagnosis.load_model(model)
+        records = diagnosis.load_records(known, data)
+        tell("simulating", 0.2)
+        found = diagnosis.validate(known, records) if fmu is None else diagnosis.validate_fmu(fmu, known, records, timeout)
+        tell("writing", 0.9)
+        words = ["bristle", *sys.argv[1:]]
+        write_validation(found, out, origin(fmu or model, data, shlex.join(words)))
+    for line in (*sentences(found), *(f"  - {finding}" for finding in found.findings), out / "report.html"):
+        print(line)
+
+
 # -- entry -----------------------------------------------------------------------------------------------------------
 
 
@@ -478,7 +527,7 @@ def _explain(error: BaseException) -> str:
     if isinstance(error, BristleError):
         return f"bristle: {error}"
     if type(error).__name__ == "NoArgsIsHelpError":
-        return "bristle: no command; choose one of list, build, run, reproduce, init, diagnose, or see bristle --help"
+        return "bristle: no command; choose one of list, build, run, reproduce, init, diagnose, validate, or see bristle --help"
     if type(error).__name__ == "NoSuchOption":  # click also proposes options that are hardly alike
         name, known = getattr(error, "option_name", ""), getattr(error, "possibilities", None) or []
         error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import signal
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,6 +33,7 @@ def isolated(
     argument: Argument,
     fmus: Sequence[Path],
     progress: Callable[[int], None] | None = None,
+    timeout: float | None = None,
 ) -> Answer:
     """Return work(argument, control), done in a child process.
 
@@ -42,11 +45,15 @@ def isolated(
         Whatever can be pickled.
     fmus : sequence of Path
         The FMUs that take part; all are named in an error, since it is not known which one crashed.
+    progress : function, optional
+        Called now and then with the number of finished items.
+    timeout : float, optional
+        Seconds after which the child process is ended.
 
     Raises
     ------
     BristleError
-        If the child process crashes or the work raises an error.
+        If the child process crashes or takes too long, or the work raises an error.
     """
     with tempfile.TemporaryDirectory(prefix="bristle-run-", ignore_cleanup_errors=True) as folder:
         place = Path(folder)
@@ -58,7 +65,9 @@ def isolated(
                 env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             )  # fmt: skip
             try:
-                _wait(child, control, progress)
+                if not _wait(child, control, progress, timeout):
+                    advice = "give it longer with --timeout, or replace the FMU if it hangs"
+                    raise BristleError(f"FMU {_names(fmus)}: the simulation took longer than {timeout:g} s; {advice}")
             finally:
                 _end(child)
         written = place / "answer.pkl"
@@ -71,14 +80,17 @@ def isolated(
     return result
 
 
-def _wait(child: subprocess.Popen[bytes], control: Control, progress: Callable[[int], None] | None) -> None:
-    while True:
+def _wait(child: subprocess.Popen[bytes], control: Control, progress: Callable[[int], None] | None, timeout: float | None) -> bool:
+    """Wait until the child process ends; return False if it does not in time."""
+    end = math.inf if timeout is None else time.monotonic() + timeout
+    while time.monotonic() < end:
         try:
             child.wait(POLL_INTERVAL)
-            return
+            return True
         except subprocess.TimeoutExpired:
             if progress:
                 progress(int(control[0]))
+    return False
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

@@ -63,25 +63,31 @@ def start_variable(fmu: Fmu, name: str) -> str | None:
     return name if own is not None and fmu.is_real(name) and own.initial in ("exact", "approx") else None
 
 
-def replay_segments(task: Replay, progress: Callable[[int], None] | None = None) -> ReplayResult:
+def replay_segments(task: Replay, progress: Callable[[int], None] | None = None, timeout: float | None = None) -> ReplayResult:
     """Replay all segments in a child process, the FMU restarted for each; `progress` is called with the number done.
+
+    It may take `timeout` seconds.
 
     Raises
     ------
     RestartError
         If the FMU cannot be started from given states.
     BristleError
-        If it crashes or refuses a step.
+        If it crashes, takes too long or refuses a step.
     """
-    answer = isolated(_segments, task, [task.fmu.path], progress)
+    answer = isolated(_segments, task, [task.fmu.path], progress, timeout)
     if isinstance(answer, str):
         raise RestartError(answer)
     return answer
 
 
-def replay_records(task: Replay) -> ReplayResult:
-    """Replay each segment in a process of its own, so that no restart is needed; errors as of `replay_segments`."""
-    return ReplayResult(tuple(isolated(_whole, (task, segment), [task.fmu.path]) for segment in task.segments), "")
+def replay_records(task: Replay, timeout: float | None = None) -> ReplayResult:
+    """Replay each segment in a process of its own, so that no restart is needed; each may take `timeout` seconds.
+
+    Errors are those of `replay_segments`.
+    """
+    paths = [task.fmu.path]
+    return ReplayResult(tuple(isolated(_whole, (task, segment), paths, None, timeout) for segment in task.segments), "")
 
 
 # -- in the child process ----------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@
 
     result = bristle.run("quick", out="out")                      # co-simulate a scenario
     found = bristle.diagnose("model.toml", ["a.csv", "b.csv"])    # what does the model lack?
+    how_far = bristle.validate("model.toml", "c.csv", out="out")  # over records it was not fitted to
     path = bristle.build("plant", "fmus", fmi=3)                  # an FMU for another tool
     paper = bristle.reproduce("out")                              # the figures and numbers of the paper
 
@@ -24,13 +25,13 @@ from bristle.result import Reproduction, Result
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from bristle.diagnosis import Diagnosis, Model, Record
+    from bristle.diagnosis import Diagnosis, Model, Record, Validation
 
     __version__: str
 
 __all__ = [
-    "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "__version__", "build", "diagnose", "load_model",
-    "load_record", "load_records", "records_from_arrays", "reproduce", "run",
+    "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "Validation", "__version__", "build", "diagnose",
+    "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "validate",
 ]  # fmt: skip
 
 PathLike = str | os.PathLike[str]
@@ -38,7 +39,9 @@ PARTS = ("plant", "observer", "controller")  # FMUs that can be built
 KINDS: tuple[Literal["native", "python"], ...] = ("native", "python")  # of FMUs
 FMI_VERSIONS = (2, 3)
 
-_LATER = {name: "bristle.diagnosis" for name in ("Diagnosis", "Model", "Record")}  # class: where it is when it is asked for
+_LATER = {
+    name: "bristle.diagnosis" for name in ("Diagnosis", "Model", "Record", "Validation")
+}  # class: where it is when it is asked for
 
 
 def __getattr__(name: str) -> Any:
@@ -256,6 +259,59 @@ def diagnose(
         found = diagnosis.diagnose_fmu(as_path("fmu", fmu), known, records, progress=progress)
     if out is not None:
         diagnosis.write(found, Path(out), choose)
+    return found
+
+
+def validate(
+    model: PathLike | Model | None,
+    data: PathLike | Record | Sequence[PathLike | Record],
+    out: PathLike | None = None,
+    *,
+    fmu: PathLike | None = None,
+    timeout: float | None = None,
+) -> Validation:
+    """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from what was measured.
+
+    Parameters
+    ----------
+    model : path or Model or None
+        Model file (TOML), such as the augmented.toml of a diagnosis, or what `load_model` returns. None if `fmu` alone describes
+        the servo, as of `diagnose`.
+    data : path or Record, or sequence of either
+        Measured files, or records that are loaded already.
+    out : path, optional
+        Folder for validation.json and report.html; without it nothing is written.
+    fmu : path, optional
+        Plant FMU (Co-Simulation) to validate instead of the equations of the model file, which then gives the columns.
+    timeout : float, optional
+        Seconds that a simulation of an FMU may take.
+
+    Returns
+    -------
+    Validation
+        Of each record: rms error, FIT, error of eq. (25), and the rms error over shorter horizons.
+
+    Raises
+    ------
+    BristleError
+        If model or data cannot be read or do not fit together, the FMU crashes or takes too long, or the folder cannot be written.
+    """
+    from bristle import diagnosis
+    from bristle.diagnosis.whole.report import check_validation_places, origin
+
+    files, records = _split(data)
+    given = [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))]
+    if out is not None:
+        check_validation_places(as_path("out", out), [*given, *files])
+    known = _model(model, fmu)
+    if files:
+        records = diagnosis.load_records(known, files)
+    if fmu is None:
+        found = diagnosis.validate(known, records)
+    else:
+        found = diagnosis.validate_fmu(as_path("fmu", fmu), known, records, timeout)
+    if out is not None:
+        diagnosis.write_validation(found, Path(out), origin(given[-1] if given else None, files))
     return found
 
 

@@ -59,7 +59,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     """
     check_arguments(model, records)
     tell = teller(progress)
-    fmu = _checked(Fmu(fmu_path, foreign=True), model)
+    fmu = checked_plant(Fmu(fmu_path, foreign=True), model)
     return search_prepared(lambda given: _prepared(fmu, model, given, tell), records, tell, SearchOptions())
 
 
@@ -67,7 +67,7 @@ def _prepared(fmu: Fmu, model: Model, records: Sequence[Record], tell: Progress)
     """Return a servo fitted to the FMU and then to the records, or a diagnosis where that makes no sense."""
     dataset, said = dataset_of(model, records), check(model, records)
     segments, lines = simulate_segments(fmu, dataset, tell)
-    lines += _units(fmu, model)
+    lines += unit_lines(fmu, model)
     if said.proposals:
         simulated = replace(dataset, segments=segments)
         return not_searched(model, records, nominal_gap(simulated, *base_servo_of(model, simulated)), implausible(said, lines))
@@ -90,7 +90,7 @@ def _prepared(fmu: Fmu, model: Model, records: Sequence[Record], tell: Progress)
     return Prepared(Case(free, records, twin.dataset, base), additions)
 
 
-def _checked(fmu: Fmu, model: Model) -> Fmu:
+def checked_plant(fmu: Fmu, model: Model) -> Fmu:
     """Refuse an FMU without the variables that the records speak of."""
     output, unit = ("v", "rad/s") if model.output_kind == "velocity" else ("theta", "rad")
     for name, causality in ((INPUT, "input"), (output, "output")):
@@ -103,7 +103,7 @@ def _checked(fmu: Fmu, model: Model) -> Fmu:
 
 
 # -- texts ---------------------------------------------------------------------------------------------------------------
-def _units(fmu: Fmu, model: Model) -> list[str]:
+def unit_lines(fmu: Fmu, model: Model) -> list[str]:
     """Return a line if the FMU declares another unit for its input than the records have, and was given their numbers.
 
     (Plants of ours have their input in V; one with b = 1 N.m/V stands for a plant that takes a torque.)

@@ -62,8 +62,9 @@ def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, s
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_locator(NullLocator())
-    side.legend(loc="upper left", fontsize=8)
-    set_title(side, "error against horizon, all records")
+    if side.lines:
+        side.legend(loc="upper left", fontsize=8)
+    set_title(side, "error against horizon")
     set_labels(side, x="simulated anew after, s", y=f"rms error, {name}")
     return figure
 

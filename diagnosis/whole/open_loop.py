@@ -55,6 +55,11 @@ class Records:
         """Length of the longest record [s]."""
         return max(len(r) * r.h for r in self.all)
 
+    @property
+    def samples(self) -> int:
+        """Length of the longest record."""
+        return max(map(len, self.all))
+
     def halves(self) -> tuple[Records, Records]:
         """Return every second record and the others or, of a single record, its two halves."""
         if len(self.all) > 1:
@@ -76,7 +81,7 @@ class Records:
         A stretch is simulated from its start to its end; averages beyond the end of a record are NaN.
         """
         h = self.all[0].h
-        length = min(max(2, round(seconds / h)), max(len(r) for r in self.all))
+        length = min(max(2, round(seconds / h)), self.samples)
         width = -(-length // bins)
         grid = Grid(h, width, -(-length // width), self.velocity)
         pieces = tuple(_stretches_of(r, grid, self.resolution) for r in self.all)
@@ -162,8 +167,13 @@ def open_loop(servo: Servo, values: Mapping[str, float], records: Records, secon
     s = fit.simulator.segments
     fine = records.stretches(s.seconds, s.bins * s.width)
     simulated, _, good, _ = servo.simulator(fine).run(values, fit.initial)
-    simulated = np.where(good[:, None], simulated, np.nan)
-    parts = np.split(simulated, np.cumsum([len(piece.measured) for piece in fine.pieces])[:-1])
+    return split(records, np.where(good[:, None], simulated, np.nan))
+
+
+def split(records: Records, simulated: Array) -> OpenLoop:
+    """Return outputs of stretches (stretches, samples) as those of the records that they were cut from."""
+    length = simulated.shape[1]
+    parts = np.split(simulated, np.cumsum([max(1, round(len(r) / length)) for r in records.all])[:-1])
     pairs = [(r.y[: p.size], p.ravel()[: len(r)]) for r, p in zip(records.all, parts, strict=True)]
     return OpenLoop(tuple(y for y, _ in pairs), tuple(seen for _, seen in pairs))
 

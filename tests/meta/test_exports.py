@@ -11,16 +11,16 @@ import pytest
 
 PUBLIC = {
     "bristle": [
-        "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "__version__", "build", "diagnose", "load_model",
-        "load_record", "load_records", "records_from_arrays", "reproduce", "run",
+        "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "Validation", "__version__", "build", "diagnose",
+        "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "validate",
     ],
     "bristle.common.errors": [
         "BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
     ],
     "bristle.common.units": ["Unit", "convert", "interval", "parse_unit", "per_second", "quantity"],
     "bristle.diagnosis": [
-        "BristleError", "Diagnosis", "Model", "Record", "SearchOptions", "diagnose", "diagnose_fmu", "fmu_model", "load_model",
-        "load_records", "records_from_arrays", "write",
+        "BristleError", "Diagnosis", "Model", "Record", "SearchOptions", "Validation", "diagnose", "diagnose_fmu", "fmu_model",
+        "load_model", "load_records", "records_from_arrays", "validate", "validate_fmu", "write", "write_validation",
     ],
     "bristle.fmus": ["build", "obtain"],
     "bristle.model.declarations": ["checked_declarations", "source_keys"],
