@@ -433,8 +433,8 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
 @app.command(
     cls=DataCommand,
     short_help="Compare a model or a plant FMU with records, in open loop.",
-    epilog="The columns are those of MODEL.toml (a model file, or the augmented.toml of a diagnosis). With an FMU alone, which must have "
-    "the parameters J, a2 and b, they are t [s], u [V] and theta [rad] or, of an FMU without it, v [rad/s]. "
+    epilog="The columns are those of MODEL.toml (a model file, or the augmented.toml of a diagnosis). With an FMU alone, which "
+    "must have the parameters J, a2 and b, they are t [s], u [V] and theta [rad] or, of an FMU without it, v [rad/s]. "
     "Exit code 0: it completed, however large the error; 2: an error.",
 )
 def validate(

@@ -84,8 +84,8 @@ def render(validation: Validation, made: Mapping[str, Any]) -> str:
     parts = [
         f'<header><p class="name">validation</p><h1>{escape(validation.name)} in open loop</h1>{lead}</header>',
         f"<h2>Whole records</h2>{table(head, rows, (1, 2, 4, 5))}",
-        '<p class="sub">Each record is simulated from its start to its end with nothing but the input; only position and velocity at '
-        "the start are fitted. FIT: 100 % less the rms error in per cent of the rms deviation of the output from its mean. "
+        '<p class="sub">Each record is simulated from its start to its end with nothing but the input; only position and velocity '
+        "at the start are fitted. FIT: 100 % less the rms error in per cent of the rms deviation of the output from its mean. "
         "Eq. (25): variance of the error in per cent of that of the output.</p>",
         "".join(_drawn(validation.kind, r, k) for k, r in enumerate(validation.records[:DRAWN_RECORDS])),
         f"<h2>Findings</h2><ul>{findings}</ul>" if findings else "",
