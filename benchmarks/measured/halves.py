@@ -22,8 +22,8 @@ def main() -> int:
     model = declared("voltage", {"J": 100.0, "a2": 150.0, "Fc": 30.0, "b": entry[4]["gain"]}, "m")
     [whole] = taken(model, [entry])
     middle = len(whole) // 2
-    halves = [part(whole, slice(middle)), part(whole, slice(middle, None))]
-    for fitted, other, name in ((*halves, "second"), (*halves[::-1], "first")):
+    first, second = part(whole, slice(middle)), part(whole, slice(middle, None))
+    for fitted, other, name in ((first, second, "second"), (second, first, "first")):
         found = diagnose(model, [fitted])
         augmented = augment(found)
         assert augmented is not None

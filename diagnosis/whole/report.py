@@ -105,8 +105,8 @@ def _drawn(kind: str, record: ValidatedRecord, place: int) -> str:
     with rc_context(STYLE):
         drawn = svg(open_loop_figure(record.trace, [curve], (kind, record.unit)), f"record{place}")
     caption = (
-        "Measured and simulated, and the error, along the record. Right: the rms error where the simulation begins anew, with a fitted "
-        "start, after so many seconds; the last point is that of the whole record."
+        "Measured and simulated, and the error, along the record. Right: the rms error where the simulation begins anew, with a "
+        "fitted start, after so many seconds; the last point is that of the whole record."
     )
     return f"<h2>{escape(record.name)}</h2>{figure(record.name, drawn, caption)}"
 

@@ -16,8 +16,8 @@ from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.fmu.open_loop import FmuSimulator
 from bristle.diagnosis.fmu.workflow import checked_plant, unit_lines
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import Trace
 from bristle.diagnosis.preparation import SEGMENT_SECONDS, fixed_values
+from bristle.diagnosis.report.result import Trace
 from bristle.diagnosis.whole.open_loop import OpenLoop, Records, open_loop
 from bristle.diagnosis.workflow import check_arguments
 from bristle.fmus.host import Fmu
@@ -30,8 +30,8 @@ Simulated = Callable[[Records, float], OpenLoop | None]  # records, and the hori
 class ValidatedRecord:
     """A record in open loop: errors in `unit`, FIT and the error of eq. (25) in per cent; NaN where they cannot be given.
 
-    `horizons`: (horizon [s], rms error); the last one is the whole record. `time` [s], `input` [SI], `measured`, `simulated`: sample
-    by sample, shape (n,).
+    `horizons`: (horizon [s], rms error); the last one is the whole record. `time` [s], `input` [SI], `measured`, `simulated`:
+    sample by sample, shape (n,).
     """
 
     name: str
