@@ -10,6 +10,7 @@ import os
 import re
 import signal
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -28,10 +29,12 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from bristle.diagnosis.report.result import Diagnosis
+    from bristle.diagnosis.selection.start_values import SearchOptions
     from bristle.harness.run import Checked, Options, Run
 
 PASS, FAIL, ERROR = 0, 1, 2
 DID_YOU_MEAN = re.compile(r"\. Did you mean (.*\?)$")  # how the option parser proposes a command
+SECONDS_BETWEEN_LINES = 5.0  # s, of progress where there is no terminal for a bar
 LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -271,11 +274,16 @@ def _fraction(name: str) -> Iterator[Callable[[str, float], None]]:
     """Show the progress of a long computation: its present step, and the share that is done."""
     with _bar() as bar:
         task = None if bar is None else bar.add_task("starting", name=name, total=1.0)
+        last = time.monotonic()
 
         def tell(text: str, fraction: float) -> None:
+            nonlocal last
             _check_interrupt()
             if bar is not None and task is not None:
                 bar.update(task, description=text, completed=fraction)
+            elif time.monotonic() > last + SECONDS_BETWEEN_LINES:
+                last = time.monotonic()
+                print(f"{name}: {text}, {fraction:.0%}", file=sys.stderr, flush=True)
 
         yield tell
 
@@ -353,6 +361,8 @@ def diagnose(
     model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=_path)] = None,
     fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=_path)] = None,
     choose: Annotated[str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME")] = None,
+    jobs: Annotated[int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")] = 0,
+    budget: Annotated[str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")] = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
     debug: DebugOption = False,
 ) -> None:
@@ -364,9 +374,10 @@ def diagnose(
     from bristle.common.output import output_folder
     from bristle.diagnosis.report.export import check_places, write
 
+    options = _search_options(jobs, budget)
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
     with output_folder(out), _fraction("diagnose") as tell:
-        found = _diagnosed(model, fmu, data, tell)
+        found = _diagnosed(model, fmu, data, tell, options)
         tell("writing", 1.0)
         problem = None
         try:
@@ -388,17 +399,35 @@ def _check_effect(name: str | None) -> None:
         effect(name)
 
 
-def _diagnosed(model: Path | None, fmu: Path | None, data: Sequence[Path], tell: Callable[[str, float], None]) -> Diagnosis:
+def _search_options(jobs: int, budget: str | None) -> SearchOptions:
+    """Return the options of a search; raise BristleError for a budget that is no time above 0."""
+    from bristle.common.units import quantity
+    from bristle.diagnosis.selection.start_values import SearchOptions
+
+    if budget is None:
+        return SearchOptions(jobs=jobs)
+    try:
+        seconds = quantity(re.sub(r"(?<=[\d.])(?=[a-z]+$)", " ", budget), "s")
+    except BristleError as error:
+        raise BristleError(f"--budget: {error}") from None
+    if not seconds > 0:
+        raise BristleError(f"--budget is {budget}; give a time above 0, such as 60s")
+    return SearchOptions(jobs=jobs, budget=seconds)
+
+
+def _diagnosed(
+    model: Path | None, fmu: Path | None, data: Sequence[Path], tell: Callable[[str, float], None], options: SearchOptions
+) -> Diagnosis:
     """Read and diagnose a model or an FMU."""
     from bristle import diagnosis
 
     tell("reading", 0.0)
     if fmu is not None:
         known = diagnosis.load_model(model) if model is not None else diagnosis.fmu_model(fmu)
-        return diagnosis.diagnose_fmu(fmu, known, diagnosis.load_records(known, data), progress=tell)
+        return diagnosis.diagnose_fmu(fmu, known, diagnosis.load_records(known, data), progress=tell, options=options)
     assert model is not None
     known = diagnosis.load_model(model)
-    return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell)
+    return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell, options=options)
 
 
 def _summary(found: Diagnosis, chosen: str | None = None) -> None:

@@ -18,10 +18,13 @@ from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
-from bristle.diagnosis.selection.stepwise import search
+from bristle.diagnosis.selection.stepwise import SearchOutcome, search
 from bristle.diagnosis.whole.refit import refit_to_whole_records
 from bristle.records.clock import must_agree
 from bristle.records.record import Record
+
+SEARCH_SHARE = 0.6  # of a time budget: after it no further effect is tried
+REFIT_SHARE = 0.8  # of a time budget: after it parameters are not refitted to whole records
 
 
 def diagnose(
@@ -83,6 +86,7 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
     Where the search finds that the input was held otherwise than the records say, they are corrected and prepared again.
     """
     started = time.perf_counter()
+    options = replace(options, deadline=started + SEARCH_SHARE * options.budget)
     with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
         while True:
             prepared = prepare(records)
@@ -95,10 +99,19 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         tell("residual", 0.85)
         found = conclude(prepared.case, outcome)
         tell("whole records", 0.9)
-        refitted, whole = refit_to_whole_records(prepared.case, found)
-        return replace(
-            as_diagnosis(prepared.case, refitted, whole, prepared.additions(found)), seconds=time.perf_counter() - started
-        )
+        in_time = time.perf_counter() < started + REFIT_SHARE * options.budget
+        refitted, whole = refit_to_whole_records(prepared.case, found, refit=in_time)
+        more = prepared.additions(found)
+        more = replace(more, findings_after=(*more.findings_after, *_cut_short(outcome, options, refit=in_time)))
+        return replace(as_diagnosis(prepared.case, refitted, whole, more), seconds=time.perf_counter() - started)
+
+
+def _cut_short(outcome: SearchOutcome, options: SearchOptions, refit: bool) -> list[str]:
+    """Return a line on what a time budget left out, if it did."""
+    left = [f"effects not tried in the last round: {', '.join(outcome.rounds[-1].untried)}"] if outcome.rounds[-1].untried else []
+    left += ["no further effect was looked for"] if outcome.ended_early and not left else []
+    left += [] if refit else ["parameters were not refitted to whole records"]
+    return [f"the time budget of {options.budget:g} s was used up: {'; '.join(left)}"] if left else []
 
 
 def _reporting(options: SearchOptions, tell: Progress) -> SearchOptions:

@@ -31,7 +31,13 @@ FMU_ERROR_RATIO = 0.5  # of the error that a refit to the records leaves: larges
 FMU_PARAMETER_ERROR = 0.02  # relative difference up to which a parameter is not reported
 
 
-def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progress: Progress | None = None) -> answer.Diagnosis:
+def diagnose_fmu(
+    fmu_path: Path,
+    model: Model,
+    records: Sequence[Record],
+    progress: Progress | None = None,
+    options: SearchOptions | None = None,
+) -> answer.Diagnosis:
     """Find where a plant FMU and records disagree, and name what the FMU lacks.
 
     Parameters
@@ -45,6 +51,8 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
         From `load_records` or `records_from_arrays`; two or more are better than one.
     progress : function, optional
         Called with a text and the fraction done.
+    options : SearchOptions, optional
+        Of the search; its progress is reported to `progress`.
 
     Returns
     -------
@@ -60,7 +68,7 @@ def diagnose_fmu(fmu_path: Path, model: Model, records: Sequence[Record], progre
     check_arguments(model, records)
     tell = teller(progress)
     fmu = checked_plant(Fmu(fmu_path, foreign=True), model)
-    return search_prepared(lambda given: _prepared(fmu, model, given, tell), records, tell, SearchOptions())
+    return search_prepared(lambda given: _prepared(fmu, model, given, tell), records, tell, options or SearchOptions())
 
 
 def _prepared(fmu: Fmu, model: Model, records: Sequence[Record], tell: Progress) -> Prepared | answer.Diagnosis:

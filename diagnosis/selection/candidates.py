@@ -20,6 +20,7 @@ from bristle.plant.effects import effect as find_effect
 
 Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
 CLIMB_REPEATS = 4  # most repetitions of the steps of a candidate that is still below the model without it, but rising
+OUT_OF_TIME = "not tried: the time budget was used up"
 INERT_GAIN = (-20.0, 2.0)  # nats: predicted gain of an effect that has no influence at its start values
 CONTACT_DEFICIT = 1000.0  # nats: a contact that is predicted to stay this far below the model without it is not refitted
 WAVE_STARTS = 8  # start values of a searched frequency that are refitted where the model fits poorly
@@ -97,21 +98,30 @@ class Candidate:
 
 def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort) -> tuple[list[Candidate], Null]:
     """Return the named effects, the most promising of them refitted to the end, and the null of the largest gain."""
-    tried = []
-    for i, name in enumerate(names):
-        context.options.progress(name, i / max(len(names), 1))
-        tried.append(_screened(context, name, effort))
+    context.prepare()
+    done: list[str] = []
+
+    def screened(name: str) -> Candidate:
+        if context.options.late:
+            return Candidate(name, None, reason=OUT_OF_TIME)
+        done.append(name)
+        context.options.progress(name, (len(done) - 1) / max(len(names), 1))
+        return _screened(context, name, effort)
+
+    cheap_first = sorted(names, key=lambda name: bool(find_effect(name).coupling))
+    by_name = dict(zip(cheap_first, context.options.map(screened, cheap_first), strict=True))
+    tried = [by_name[name] for name in names]
     if not any(c.fit for c in tried):
         return tried, Null(np.zeros(1), {})
     if effort is QUICK and find_effect(max(tried, key=lambda c: c.predicted).name).free_play:
         # a shaft that hardens resembles free play, but needs more steps to be found
         stiff = {c.name for c in tried if c.fit and find_effect(c.name).coupling and not find_effect(c.name).free_play}
-        tried = [_screened(context, c.name, EXHAUSTIVE) if c.name in stiff else c for c in tried]
+        tried = context.options.map(lambda c: _screened(context, c.name, EXHAUSTIVE) if c.name in stiff else c, tried)
     null = _null(context, tried)
     chosen = _most_promising(context, tried, null)
     if not chosen:
         return tried, null
-    tried = [refit_to_end(context, c) if c.name in chosen else c for c in tried]
+    tried = context.options.map(lambda c: refit_to_end(context, c) if c.name in chosen else c, tried)
     return tried, _null(context, tried)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from bristle.common.table import Array
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_initial_states, refit_nonsmooth, resume
-from bristle.diagnosis.selection.candidates import Assessment, Candidate
+from bristle.diagnosis.selection.candidates import OUT_OF_TIME, Assessment, Candidate
 from bristle.diagnosis.selection.discretisation import finer_gain
 from bristle.diagnosis.selection.effect_size import acting_fall, fall, typical_fall
 from bristle.diagnosis.selection.null_distribution import Null
@@ -64,6 +65,11 @@ class SearchRound:
     def named(self) -> bool:
         """True if its best candidate was added."""
         return self.outcome == "added"
+
+    @property
+    def untried(self) -> tuple[str, ...]:
+        """Candidates for which the time budget did not suffice."""
+        return tuple(c.name for c in self.candidates if c.reason == OUT_OF_TIME)
 
     @property
     def assessment(self) -> Assessment:
@@ -123,16 +129,21 @@ def _refitted_contenders(context: SearchContext, candidates: Sequence[Candidate]
     """Return those that come near the best one, refitted under its noise until the best one stays the best."""
     plain, least = context.fit, CONTENDER_SHARE * _likeliest(candidates).gain_over(context.fit)
     near = [c for c in candidates if c.gain_over(plain) > least]
-    contenders = [replace(c, fit=refit_with_noise(context.dataset, c.fit)) for c in near if c.fit]
+    contenders = context.options.map(lambda c: replace(c, fit=c.fit and refit_with_noise(context.dataset, c.fit)), near)
     best, problem = _likeliest(contenders), context.fitted.problem
     for _ in range(NOISE_ROUNDS):
         assert best.fit is not None
         problem = context.own_noise(best.fit)
-        contenders = [replace(c, fit=resume(problem, c.fit, stop_gain=ROUGH_STOP_GAIN)) for c in contenders if c.fit]
+        contenders = context.options.map(partial(_resumed, problem), contenders)
         before, best = best, _likeliest(contenders)
         if best.name == before.name:
             break
     return problem, contenders
+
+
+def _resumed(problem: Problem, candidate: Candidate) -> Candidate:
+    """Return a candidate refitted under a problem."""
+    return replace(candidate, fit=candidate.fit and resume(problem, candidate.fit, stop_gain=ROUGH_STOP_GAIN))
 
 
 def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:

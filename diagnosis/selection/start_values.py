@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import math
+import os
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -27,6 +31,7 @@ from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
+T, S = TypeVar("T"), TypeVar("S")
 Progress = Callable[[str, float], None]
 Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
 NO_FRICTION_SHARE = 0.1  # of the mean torque of the input: stands for the dry friction of a model without any
@@ -55,12 +60,29 @@ class SearchOptions:
         Effects that are refitted from all their start values in each round.
     test_input_hold : bool
         If false, the input is taken as held between samples.
+    jobs : int
+        Effects that are tried at a time; 0 for one on each core. The answer is the same for any number.
+    budget : float
+        Seconds for the whole diagnosis, about; once most of them are gone no further effect is tried, and the answer says so.
     """
 
     progress: Progress = lambda text, fraction: None
     start_values: Mapping[str, Sequence[Start]] = field(default_factory=dict)
     exhaustive: Collection[str] = ()
     test_input_hold: bool = True
+    jobs: int = 0
+    budget: float = math.inf
+    deadline: float = math.inf  # s, `time.perf_counter`: when the search ends; set by the workflow
+
+    @property
+    def late(self) -> bool:
+        """True once no further effect is to be tried."""
+        return time.perf_counter() > self.deadline
+
+    def map(self, function: Callable[[T], S], items: Iterable[T]) -> list[S]:
+        """Return the results of a function, in the order of the items; simulations run outside the interpreter's lock."""
+        with ThreadPoolExecutor(self.jobs or os.cpu_count() or 1, "effects") as pool:
+            return list(pool.map(function, items))
 
 
 @dataclass(frozen=True)
@@ -75,6 +97,10 @@ class SearchContext:
     def fit(self) -> Fit:
         """Fit of the model without any of the candidates."""
         return self.fitted.fit
+
+    def prepare(self) -> None:
+        """Compute what all candidates share, before they are tried side by side."""
+        _ = self.evidence, self.joint_starts
 
     @cached_property
     def response(self) -> ResidualResponse:

@@ -57,6 +57,7 @@ class SearchOutcome:
     final: FittedModel
     rounds: tuple[SearchRound, ...]
     input_share: InputShare | None = None
+    ended_early: bool = False  # whether the time budget kept it from looking for a further effect
 
 
 def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> SearchOutcome:
@@ -78,6 +79,8 @@ def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> Searc
         rounds.append(found)
         if len(rounds) >= MOST_EFFECTS or dataset.poor_excitation:
             return SearchOutcome(fitted, tuple(rounds))
+        if options.late:
+            return SearchOutcome(fitted, tuple(rounds), ended_early=True)
         if not residual_has_structure(replace(context, fitted=fitted), found, _classes(base, rounds)):
             rounds[-1] = replace(found, decision=f"{found.decision}; neither a view nor an effect shows structure in the residual")
             return SearchOutcome(fitted, tuple(rounds))
@@ -94,7 +97,8 @@ def _find_effect(context: SearchContext, base: FittedModel, rounds: Sequence[Sea
     names = [name for name in all_effects() if group(name) not in taken]
     first_gain = rounds[0].gain if rounds else None
     found = propose_effect(context, names, first_gain, QUICK)
-    if found.outcome in ("none", "rejected") and found.candidates and needs_exhaustive_search(context.dataset, context.fitted):
+    poor = found.outcome in ("none", "rejected") and found.candidates and needs_exhaustive_search(context.dataset, context.fitted)
+    if poor and not context.options.late:
         found = propose_effect(context, names, first_gain, EXHAUSTIVE)
     return found
 

@@ -47,8 +47,8 @@ class _Long:
         return dict(before) if self.grown.fit is None else refitted_estimates(model, self.grown.fit, before)
 
 
-def refit_to_whole_records(case: Case, found: Conclusion) -> tuple[Conclusion, answer.WholeRecords]:
-    """Return a conclusion with parameters refitted to whole records, if that generalises, and the errors over these.
+def refit_to_whole_records(case: Case, found: Conclusion, refit: bool = True) -> tuple[Conclusion, answer.WholeRecords]:
+    """Return a conclusion with parameters refitted to whole records, if that is wanted and generalises, and the errors over these.
 
     Verdict, names and gap stay those of the segments.
     """
@@ -59,7 +59,7 @@ def refit_to_whole_records(case: Case, found: Conclusion) -> tuple[Conclusion, a
     if found.final is not case.base:
         before = _Long(open_loop_servo(case.base.servo), _values(case.base.fit.values, found.base))
     same = before is after
-    if generalises(after.servo, after.values, records, segment):
+    if refit and generalises(after.servo, after.values, records, segment):
         after = after.refitted(records, segment)
         before = after if same else before.refitted(records, segment) if after.grown.fit is not None else before
     parameters = after.estimates(case.model, found.parameters)

@@ -1,0 +1,69 @@
+"""How many effects are tried at a time changes no digit; a time budget ends the search, and the answer says what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bristle.cli import main as cli
+from bristle.cli.main import _search_options
+from bristle.common.errors import BristleError
+from bristle.diagnosis import Model, diagnose, records_from_arrays
+from bristle.diagnosis.report.result import Diagnosis
+from bristle.diagnosis.selection.start_values import SearchOptions
+
+
+def found(model: Model, measured: Any, options: SearchOptions, progress: Any = None) -> Diagnosis:
+    """Return the diagnosis of two short records of a servo with a bias."""
+    columns = [(f"run {seed}", *(x[:5000] for x in measured("bias", seed)[:3])) for seed in (1, 2)]
+    return diagnose(model, records_from_arrays(model, columns), progress, options)
+
+
+def numbers(answer: Diagnosis) -> list[float]:
+    """Return every likelihood gain and every estimate."""
+    gains = [c.gain for r in answer.rounds for c in r.candidates if c.gain is not None]
+    return [*gains, *(e.value for e in answer.base.values()), *(e.value for e in answer.parameters.values()), answer.gap.before]
+
+
+@pytest.mark.slow
+def test_the_answer_is_the_same_for_any_number_of_jobs(model: Model, measured: Any) -> None:
+    one, three = (found(model, measured, SearchOptions(jobs=jobs)) for jobs in (1, 3))
+    assert one.verdict == three.verdict == "named"
+    assert len(numbers(one)) > 20
+    assert np.array_equal(numbers(one), numbers(three))
+
+
+@pytest.mark.slow
+def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(model: Model, measured: Any) -> None:
+    """With none left from the start, nothing can be named, and nothing is said to be missing or not."""
+    answer = found(model, measured, SearchOptions(budget=1e-3))
+    assert answer.verdict == "not_identifiable"
+    [line] = [each for each in answer.findings if "time budget" in each]
+    assert line.startswith("the time budget of 0.001 s was used up: effects not tried in the last round: asymmetric_coulomb, ")
+    assert line.endswith("parameters were not refitted to whole records")
+    assert any("before 25 effects were tried" in each for each in answer.statement)
+    assert not answer.effects
+
+
+def test_a_budget_is_a_time_above_zero() -> None:
+    assert _search_options(0, "60s") == _search_options(0, "1 min") == replace(SearchOptions(), budget=60.0)
+    assert _search_options(2, None) == SearchOptions(jobs=2)
+    for wrong in ("60", "0 s", "-5s", "fast", "3 rad"):
+        with pytest.raises(BristleError, match=r"^--budget"):
+            _search_options(0, wrong)
+
+
+def test_progress_is_printed_line_by_line_where_there_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "SECONDS_BETWEEN_LINES", -1.0)
+    with cli._fraction("diagnose") as tell:
+        tell("trying bias", 0.25)
+    assert capsys.readouterr().err == "diagnose: trying bias, 25%\n"
+    monkeypatch.setattr(cli, "SECONDS_BETWEEN_LINES", 60.0)
+    with cli._fraction("diagnose") as tell:
+        tell("trying bias", 0.25)
+    assert capsys.readouterr().err == ""
