@@ -64,6 +64,8 @@ class SearchOptions:
         Effects that are tried at a time; 0 for one on each core. The answer is the same for any number.
     budget : float
         Seconds for the whole diagnosis, about; once most of them are gone no further effect is tried, and the answer says so.
+    deadline : float
+        When the search ends [s, of `time.perf_counter`]; a diagnosis sets it from the budget.
     """
 
     progress: Progress = lambda text, fraction: None
@@ -72,7 +74,7 @@ class SearchOptions:
     test_input_hold: bool = True
     jobs: int = 0
     budget: float = math.inf
-    deadline: float = math.inf  # s, `time.perf_counter`: when the search ends; set by the workflow
+    deadline: float = math.inf
 
     @property
     def late(self) -> bool:

@@ -16,6 +16,7 @@ from bristle import diagnosis
 from bristle.cli import main as cli
 from bristle.common import output
 from bristle.common.errors import BristleError
+from bristle.diagnosis import SearchOptions
 from bristle.diagnosis.report import export
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,7 +37,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What the engine was asked; set `case` to what it shall find."""
     seen: dict[str, Any] = {"case": "named", "made": _fabricated()}
 
-    def engine(*arguments: Any, progress: Callable[[str, float], None]) -> Any:
+    def engine(*arguments: Any, progress: Callable[[str, float], None], options: SearchOptions) -> Any:
+        seen["options"] = options
         progress("base fit", 0.1)
         progress("candidates", 0.9)
         seen["arguments"] = arguments
@@ -164,7 +166,7 @@ def test_an_error_leaves_what_was_there(call: Call, asked: dict[str, Any], tmp_p
 def test_an_interrupt_is_said_and_changes_nothing(
     call: Call, asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*arguments: Any, progress: Callable[[str, float], None]) -> None:
+    def interrupted(*arguments: Any, progress: Callable[[str, float], None], options: SearchOptions) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         progress("candidates", 0.5)
 
