@@ -31,7 +31,8 @@ from bristle.diagnosis.localisation.residual_response import ResidualResponse
 from bristle.plant.effect import Evidence
 from bristle.plant.effects import effect as find_effect
 
-T, S = TypeVar("T"), TypeVar("S")
+T = TypeVar("T")
+S = TypeVar("S")
 Progress = Callable[[str, float], None]
 Start = Mapping[str, float]  # start values of an effect's free parameters, by their short names
 NO_FRICTION_SHARE = 0.1  # of the mean torque of the input: stands for the dry friction of a model without any
