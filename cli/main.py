@@ -347,8 +347,8 @@ def init(
     cls=DataCommand,
     short_help="Name the effect that a model lacks, from measured records.",
     epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction. "
-    "With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u [V] and theta [rad] "
-    "or, of an FMU without it, v [rad/s]. "
+    "With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u and theta or, "
+    "of an FMU without it, v, in the units of the FMU. "
     "Exit code 0: it completed, whatever it found; 2: an error.",
 )
 def diagnose(
@@ -463,7 +463,7 @@ def _summary(found: Diagnosis, chosen: str | None = None) -> None:
     cls=DataCommand,
     short_help="Compare a model or a plant FMU with records, in open loop.",
     epilog="The columns are those of MODEL.toml (a model file, or the augmented.toml of a diagnosis). With an FMU alone, which "
-    "must have the parameters J, a2 and b, they are t [s], u [V] and theta [rad] or, of an FMU without it, v [rad/s]. "
+    "must have the parameters J, a2 and b, they are t [s], u and theta or, of an FMU without it, v, in the units of the FMU. "
     "Exit code 0: it completed, however large the error; 2: an error.",
 )
 def validate(

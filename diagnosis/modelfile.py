@@ -86,6 +86,10 @@ class Model(Layout):
         """Return the SI unit of a parameter of the servo, of the law or of any effect (``cogging.amplitude``)."""
         return own_unit(_declared(self.friction)[name], self.linear, self.input_kind)
 
+    def unit_in_fmu(self, name: str, unit: str) -> str:
+        """Return the unit of a variable of a plant FMU, from its name and its unit in ServoPlant."""
+        return unit_on(name, unit, self.linear, self.input_kind)
+
     def allowed(self, name: str) -> tuple[float, float]:
         """Return the least and the greatest value that such a parameter may have, SI."""
         declared = _declared(self.friction)[name]
@@ -144,15 +148,21 @@ def si_unit(unit: str, linear: bool, kind: str) -> str:
         unit = re.sub(r"kg\.m2", "kg", unit)
         unit = re.sub(r"N\.m(?![A-Za-z0-9])", "N", unit)
         unit = re.sub(r"(?<![A-Za-z])rad", "m", unit)
-    return re.sub(r"(?<![A-Za-z])V(?![A-Za-z])", INPUT_UNITS[kind], unit)
+    unit = re.sub(r"(?<![A-Za-z])V(?![A-Za-z])", INPUT_UNITS[kind], unit)
+    return "1" if not any(parse_unit(unit).exponents) else unit  # as of the gain of an input that is a torque
 
 
 def own_unit(parameter: Parameter, linear: bool, kind: str) -> str:
     """Return the unit of a parameter on such a rig: the phase of a wave is an angle on a linear axis, too."""
-    name = parameter.name.rpartition(".")[2]
+    return unit_on(parameter.name, parameter.unit, linear, kind)
+
+
+def unit_on(full_name: str, unit: str, linear: bool, kind: str) -> str:
+    """Return the unit of a variable of the servo on such a rig, from its name and its unit on a shaft driven by a voltage."""
+    name = full_name.rpartition(".")[2]
     if linear and name in {e.periods for e in all_effects().values()}:
         return "rad/m"
-    return parameter.unit if name.startswith("phase") else si_unit(parameter.unit, linear, kind)
+    return unit if name.startswith("phase") else si_unit(unit, linear, kind)
 
 
 def _declared(friction: str) -> dict[str, Parameter]:

@@ -6,7 +6,7 @@ The symbolic code is imported only if something must be built, so that `obtain` 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -75,6 +75,7 @@ def build(
     effects: Sequence[str] = (),
     encoder: bool = False,
     parameters: Mapping[str, float] | None = None,
+    units: Callable[[str, str], str] | None = None,
 ) -> Path:
     """Write an FMU to a file.
 
@@ -96,6 +97,8 @@ def build(
         Encoder outputs also in the plant of one smooth law, which then offers no Model Exchange. All other plants have them.
     parameters : mapping of str to float, optional
         Start values of parameters in SI units, in place of their defaults.
+    units : function, optional
+        Gives the unit that a variable is declared with, from its name and its usual unit.
 
     Raises
     ------
@@ -105,8 +108,8 @@ def build(
     """
     from bristle.fmus.pack import write_archive
 
-    program = program_of(what, _check(what, fmi, kind, law, method, effects), effects, encoder)
-    return write_archive(Path(out), program_files(program.preset(parameters or {}), fmi, kind))
+    program = program_of(what, _check(what, fmi, kind, law, method, effects), effects, encoder).preset(parameters or {})
+    return write_archive(Path(out), program_files(program if units is None else program.in_units(units), fmi, kind))
 
 
 def _sources(package: str) -> list[str | bytes]:

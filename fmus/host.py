@@ -196,18 +196,19 @@ class Fmu:
             raise BristleError(f"outside {allowed}; choose a value in that interval")
         return value
 
-    def check_si(self, name: str, unit: str) -> None:
-        """Raise BristleError if a variable declares another unit than `unit`; one without a unit is accepted."""
+    def check_si(self, name: str, *units: str) -> None:
+        """Raise BristleError if a variable declares another unit than one of `units`; one without a unit is accepted."""
         have = self.unit(name)
         if have == "1":
             return
         try:
-            same = parse_unit(have).exponents == parse_unit(unit).exponents and parse_unit(have).factor == parse_unit(unit).factor
+            given = parse_unit(have)
+            same = any((given.exponents, given.factor) == (parse_unit(unit).exponents, parse_unit(unit).factor) for unit in units)
         except BristleError:
             same = False
         if not same:
             raise BristleError(
-                f"FMU {self.path}: variable '{name}' is in {have}; bristle connects it in {unit}: export it in {unit}"
+                f"FMU {self.path}: variable '{name}' is in {have}; bristle connects it in {units[0]}: export it in {units[0]}"
             )
 
 

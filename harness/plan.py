@@ -28,6 +28,7 @@ BUS_PORTS = {
     },
     "observer": {"inputs": {"u": "V", "y_theta": "rad", "y_v": "rad/s"}, "outputs": {}},
 }
+UNITS_OF_RIGS = {"V": ("A", "N.m", "N"), "rad": ("m",), "rad/s": ("m/s",), "N.m": ("N",)}  # unit of a plant: others it may have
 NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
 FREE_INPUTS = {"plant": ("u", "tau_load", "load_scale"), "controller": ("u_ff", "reference_scale")}  # which a stimulus may drive
 SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}  # plant outputs: position, velocity
@@ -117,7 +118,7 @@ def _foreign(loaded: Loaded, name: str, file: str) -> Fmu:
     try:
         for variable, unit in {**sides["inputs"], **sides["outputs"]}.items():
             if variable in fmu.variables:
-                fmu.check_si(variable, unit)
+                fmu.check_si(variable, unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ()))
     except BristleError as error:
         raise loaded.error(f"{name}.fmu", file, str(error)) from None
     return fmu

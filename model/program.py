@@ -303,6 +303,15 @@ class Program:
         ]
         return made
 
+    def in_units(self, of: Callable[[str, str], str]) -> Program:
+        """Return the same program with other units declared; `of` gives that of a variable, from its name and its unit now.
+
+        Numbers stay what they are: equations hold in any consistent set of units.
+        """
+        made = copy.copy(self)
+        made.slots = [replace(slot, variable=replace(slot.variable, unit=of(slot.name, slot.variable.unit))) for slot in self.slots]
+        return made
+
     @property
     def token(self) -> str:
         """A GUID / instantiation token that follows from the interface alone."""

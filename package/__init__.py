@@ -218,7 +218,7 @@ def diagnose(
     ----------
     model : path or Model or None
         Model file (TOML), or what `load_model` returns. None if `fmu` alone describes the servo: the FMU must then have the
-        parameters J, a2 and b, and the columns of the records are t [s], u [V] and theta [rad] or v [rad/s].
+        parameters J, a2 and b, and the columns of the records are t [s], u and theta or v, in the units of the FMU.
     data : path or Record, or sequence of either
         Measured files (CSV, XLSX, MAT and others) or records that are loaded already; two or more records are better than one.
     out : path, optional

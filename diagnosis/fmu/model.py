@@ -8,8 +8,10 @@ from typing import Any
 from bristle.common.errors import BristleError
 from bristle.diagnosis.modelfile import Model
 from bristle.fmus.host import Fmu
+from bristle.fmus.playback import INPUT
 from bristle.plant.effects import effects
 from bristle.plant.friction import laws
+from bristle.records.layout import INPUT_UNITS
 
 INPUT_KINDS = ("Real", "Float64", "Enumeration")  # of a start value that is a number
 ADVICE = "give a model file beside the FMU"
@@ -18,12 +20,13 @@ ADVICE = "give a model file beside the FMU"
 def fmu_model(path: Path) -> Model:
     """Return the model that an FMU with the variables of ServoPlant describes, at its start values.
 
-    Records have the columns t [s], u [V] and theta [rad], or v [rad/s] if the FMU has no theta.
+    Records have the columns t [s], u and theta or, if the FMU has none, v, in the units that the FMU declares: V, A, N.m or N for
+    u, rad or m for theta, rad/s or m/s for v.
 
     Parameters
     ----------
     path : Path
-        Plant FMU with the parameters J, a2 and b.
+        Plant FMU with the parameters J, a2 and, where its input is a voltage or a current, b.
 
     Raises
     ------
@@ -31,7 +34,11 @@ def fmu_model(path: Path) -> Model:
         If the FMU cannot be read or does not say enough.
     """
     starts, outputs, chosen = _read(path)
-    for name in ("J", "a2", "b"):
+    fmu = Fmu(path)
+    unit = fmu.unit(INPUT) if fmu.has(INPUT, "input") else "V"
+    kind = next((kind for kind, own in INPUT_UNITS.items() if own == unit), "voltage")
+    gained = ("J", "a2", "b") if kind in ("voltage", "current") else ("J", "a2")
+    for name in gained:
         if name not in starts:
             raise BristleError(f"FMU {path}: no parameter '{name}' to scale by; {ADVICE}")
     if not {"theta", "v"} & outputs:
@@ -41,13 +48,15 @@ def fmu_model(path: Path) -> Model:
     for effect in effects():
         own = {name.removeprefix(f"{effect}."): x for name, x in starts.items() if name.startswith(f"{effect}.")}
         found |= {effect: own} if own else {}
-    parameters = {name: x for name, x in starts.items() if name in ("J", "a2", "b") or name.startswith(f"{law}.")}
-    output: dict[str, Any] = {"column": "theta", "kind": "position", "unit": "rad"}
-    if "theta" not in outputs:
-        output = {"column": "v", "kind": "velocity", "unit": "rad/s"}
+    parameters = {name: x for name, x in starts.items() if name in gained or name.startswith(f"{law}.")}
+    shown = "theta" if "theta" in outputs else "v"
+    linear = fmu.unit(shown).startswith("m")
+    output: dict[str, Any] = {"column": "theta", "kind": "position", "unit": "m" if linear else "rad"}
+    if shown == "v":
+        output = {"column": "v", "kind": "velocity", "unit": "m/s" if linear else "rad/s"}
     tree = {
         "friction": law, "parameters": parameters, "effects": found, "output": output,
-        "time": {"column": "t", "unit": "s"}, "input": {"column": "u", "kind": "voltage", "unit": "V"},
+        "time": {"column": "t", "unit": "s"}, "input": {"column": INPUT, "kind": kind, "unit": INPUT_UNITS[kind]},
     }  # fmt: skip
     return Model.from_dict(tree, f"FMU {path}")
 

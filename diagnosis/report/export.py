@@ -140,7 +140,8 @@ def _package(diagnosis: Diagnosis, choose: str | None, fmi: int) -> _Package:
 def _add_models(package: _Package, augmented: Augmented, fmi: int) -> None:
     extra = f" with {', '.join(augmented.added)} added" if augmented.added else " refitted; no effect was added"
     package.add("augmented.toml", f"the model{extra}", lambda: model_text(augmented.model).encode())
-    about = f"the plant{extra}, FMI {fmi}.0; what was identified are its start values.{_in_place_of_volts(augmented.model)}"
+    unit = augmented.model.input_unit.replace(".", "·")
+    about = f"the plant{extra}, FMI {fmi}.0; what was identified are its start values; u is in {unit}"
     package.add("augmented.fmu", about, lambda: _made(lambda out: _build_plant(augmented, out, fmi)))
     reasons = {name: refusal(name, augmented.effects, augmented.added) for name in augmented.added}
     possible = [name for name, reason in reasons.items() if reason is None]
@@ -152,15 +153,6 @@ def _add_models(package: _Package, augmented: Augmented, fmi: int) -> None:
         package.meaning["no correction.fmu"] = "; ".join(refused)
 
 
-def _in_place_of_volts(model: Model) -> str:
-    said = []
-    if model.input_kind != "voltage":
-        said.append(f"u, written in V, is the input in {model.input_unit.replace('.', '·')}")
-    if model.linear:
-        said.append("rad, N.m and kg.m2 stand for m, N and kg")
-    return f" {'; '.join(said)}." if said else ""
-
-
 def _about_correction(possible: list[str], refused: list[str]) -> str:
     text = f"what to feed a plant that lacks {', '.join(possible)}, so that it behaves as if it had it"
     text += "; pass u_corrected on within the step, else it comes a sample late"
@@ -168,11 +160,15 @@ def _about_correction(possible: list[str], refused: list[str]) -> str:
 
 
 def _build_plant(augmented: Augmented, out: Path, fmi: int) -> None:
-    build("plant", out, fmi=fmi, law=augmented.model.friction, effects=augmented.effects, parameters=augmented.parameters)
+    build(
+        "plant", out, fmi=fmi, law=augmented.model.friction, effects=augmented.effects, parameters=augmented.parameters,
+        units=augmented.model.unit_in_fmu,
+    )  # fmt: skip
 
 
 def _build_correction(names: list[str], augmented: Augmented, out: Path, fmi: int) -> None:
-    write_archive(out, program_files(correction_program(names, augmented.parameters), fmi))
+    program = correction_program(names, augmented.parameters).in_units(augmented.model.unit_in_fmu)
+    write_archive(out, program_files(program, fmi))
 
 
 def _made(make: Callable[[Path], None]) -> bytes:

@@ -16,7 +16,7 @@ from fmpy.validation import validate_fmu
 
 from bristle.common import output
 from bristle.common.errors import BristleError, IncompleteError
-from bristle.diagnosis import load_model
+from bristle.diagnosis import fmu_model, load_model
 from bristle.diagnosis.report import export
 from bristle.diagnosis.report.result import Estimate, Gap, Named
 from bristle.fmus.build import program_of
@@ -146,13 +146,38 @@ def test_what_a_fit_leaves_out_keeps_its_default(answer):
     }  # fmt: skip
 
 
-def test_a_linear_axis_is_driven_by_its_force(answer, fabricated, tmp_path):
-    slow = replace(answer("none"), model=fabricated.linear_model(), gap=Gap(1e-9, 1e-9, None, "m"), base={})
-    export.write(slow, tmp_path)
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_fmu_declares_the_units_of_its_rig(answer, fabricated, tmp_path, fmi):
+    slow = replace(answer("named"), model=fabricated.linear_model(), gap=Gap(1e-9, 1e-9, None, "m"), base={}, parameters={})
+    export.write(slow, tmp_path, fmi=fmi)
     found = starts(tmp_path / "augmented.fmu")
     assert (float(found["b"]), float(found["u_max"]), float(found["J"])) == (1.0, 1e6, 2.0)
     assert float(found["encoder.counts"]) == pytest.approx(2 * np.pi / 1e-6)  # a grid of one micrometre
-    assert "rad, N.m and kg.m2 stand for m, N and kg" in (tmp_path / "report.html").read_text()
+    assert validate_fmu(str(tmp_path / "augmented.fmu")) == []
+    declared = read_model_description(str(tmp_path / "augmented.fmu"))
+    units = {v.name: v.unit for v in declared.modelVariables if v.unit is not None}
+    wanted = {"u": "N", "tau_load": "N", "theta": "m", "v": "m/s", "F": "N", "J": "kg", "a2": "N.s/m", "b": "1", "coulomb.Fc": "N"}
+    wanted |= {"cogging.amplitude": "N", "cogging.periods": "rad/m", "cogging.phase": "rad", "theta_start": "m", "sample_time": "s"}
+    assert {name: units.get(name, "1") for name in wanted} == wanted
+    assert not any("V" in unit for unit in units.values())
+    bases = {unit.name: unit.baseUnit for unit in declared.unitDefinitions}
+    assert (bases["N"].kg, bases["N"].m, bases["N"].s, bases["N"].rad) == (1, 1, -2, 0)
+    assert (bases["rad/m"].rad, bases["rad/m"].m) == (1, -1)
+    corrected = read_model_description(str(tmp_path / "correction.fmu"))
+    ports = {v.name: v.unit for v in corrected.modelVariables if v.causality in ("input", "output")}
+    assert ports == {"u": "N", "theta": "m", "v": "m/s", "u_corrected": "N"} | ({"time": "s"} if "time" in ports else {})
+
+
+@pytest.mark.parametrize(("kind", "unit", "gain"), [("torque", "N.m", "1"), ("current", "A", "N.m/A"), ("voltage", "V", "N.m/V")])
+def test_an_fmu_is_the_model_that_it_was_made_from_with_its_kind_of_input(answer, fabricated, tmp_path, kind, unit, gain):
+    given = {"J": 0.011, "a2": 0.015, "Fc": 0.1} | ({} if kind == "torque" else {"b": 0.5})
+    own = fabricated.model(input={"column": "u", "kind": kind, "unit": unit}, parameters=given)
+    export.write(replace(answer("none"), model=own, base={}), tmp_path)
+    units = {v.name: v.unit or "1" for v in read_model_description(str(tmp_path / "augmented.fmu")).modelVariables}
+    assert (units["u"], units["u_max"], units["b"], units["theta"]) == (unit, unit, gain, "rad")
+    again = fmu_model(tmp_path / "augmented.fmu")
+    assert (again.input_kind, again.input_unit, again.linear) == (kind, unit, False)
+    assert again.parameters == own.parameters
 
 
 # -- all or nothing ----------------------------------------------------------------------------------------------------

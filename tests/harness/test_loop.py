@@ -185,6 +185,15 @@ def test_units_and_names_of_a_foreign_plant_are_checked(tiny_fmu: Maker, base: s
             assert word in line
 
 
+def test_a_foreign_plant_may_be_in_the_units_of_a_rig(tiny_fmu: Maker, base: str, scenario_file: Maker) -> None:
+    """A linear axis in m, as the augmented plant of a diagnosis is; the numbers are connected as they are."""
+    path = tiny_fmu(unit='unit="m"')
+    found = find_fmus(
+        load(scenario_file(base.replace('law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', f'fmu = "{path}"')))
+    )
+    assert found["plant"].unit("theta") == "m"
+
+
 # -- timing ----------------------------------------------------------------------------------------------------------
 
 
