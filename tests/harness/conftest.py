@@ -59,7 +59,8 @@ E int fmi2DoStep(M *m, double t, double h, int p)
 XML = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="tiny" guid="{{tiny}}">
 <CoSimulation modelIdentifier="{identifier}"/>
-<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.0174532925"/></Unit><Unit name="V"/><Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
+<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.0174532925"/></Unit><Unit name="V"/>
+<Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
 <ModelVariables>
 <ScalarVariable name="u" valueReference="1" causality="input"><Real start="0"/></ScalarVariable>
 <ScalarVariable name="theta" valueReference="2" causality="output"><Real {unit}/></ScalarVariable>
