@@ -9,10 +9,10 @@ The servo is that of the blind test (benchmarks/blind/truth.c), with a cogging t
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -232,24 +232,24 @@ def ratios(style: Style, found: Proposal) -> Mapping[str, float]:
 
 
 def _diagnosed(model: Path, paths: Sequence[Path], out: Path) -> str:
-    """Diagnose with the proposed file as it is; return the verdict and the time it took."""
-    started = time.perf_counter()
+    """Diagnose with the proposed file as it is; return the answer, or the error."""
     command = ["bristle", "diagnose", str(model), "--data", *map(str, paths), "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    line = (done.stdout.strip().splitlines() or done.stderr.strip().splitlines() or ["nothing"])[-1]
-    first = done.stdout.splitlines()[0] if done.stdout else done.stderr.strip()
-    wall = time.perf_counter() - started
-    return f"exit {done.returncode}, {line.split()[0]}, {wall:.0f} s, report {(out / 'report.html').exists()}: {first}"
+    if done.returncode or not (out / "report.html").exists():
+        return f"error: {done.stderr.strip()}"
+    said = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    return str(said["verdict"]) + "".join(f" {effect['name']}" for effect in said["effects"])
 
 
 def main() -> int:
-    """Write all pairs, propose a model for each, compare it with the truth."""
+    """Write all pairs, propose a model for each, compare it with the truth; print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("styles", nargs="*", help="names of loggers; all without one")
     parser.add_argument("--diagnose", action="store_true", help="diagnose with the proposed file as it is")
     arguments = parser.parse_args()
     right = reports = 0
     chosen = {name: style for name, style in STYLES.items() if not arguments.styles or name in arguments.styles}
+    print("| files | input, output | J, a2, Fc over the truth | proposal | diagnosis |\n|---|---|---|---|---|")
     for name, style in chosen.items():
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)
@@ -258,17 +258,15 @@ def main() -> int:
                 found = propose(paths)
                 write_model(found, folder / "model.toml")
             except BristleError as error:
-                print(f"{name}: {error}")
+                print(f"| {name} | | | {error} | |", flush=True)
                 continue
             wrong = mistakes(style, found)
             right += not wrong
-            shown = ", ".join(f"{key} x{ratio:.2f}" for key, ratio in ratios(style, found).items())
-            print(f"{name}: {shown}; {'; '.join(wrong) or 'right'}", flush=True)
-            if arguments.diagnose:
-                said = _diagnosed(folder / "model.toml", paths, folder / "out")
-                reports += "report True" in said
-                print(f"    {said}", flush=True)
-    print(f"{right} of {len(chosen)} proposals right" + (f", {reports} reports" if arguments.diagnose else ""))
+            shown = ", ".join(f"{ratio:.2f}" for ratio in ratios(style, found).values())
+            said = _diagnosed(folder / "model.toml", paths, folder / "out") if arguments.diagnose else ""
+            reports += bool(said) and not said.startswith("error")
+            print(f"| {name} | {', '.join(style.kinds)} | {shown} | {'; '.join(wrong) or 'right'} | {said} |", flush=True)
+    print(f"\n{right} of {len(chosen)} proposals right" + (f", {reports} reports." if arguments.diagnose else "."))
     return 0 if right == len(chosen) else 1
 
 

@@ -1,4 +1,4 @@
-"""Timestamps written as text: ISO 8601, day.month.year and times of the day, in seconds."""
+"""Timestamps written as text: ISO 8601, day.month.year, times of the day, and durations such as ``0.5 sec``, in seconds."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ DAY = 86400.0  # s
 _TIME = r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)"
 _ISO = re.compile(rf"(\d{{4}})[-/](\d\d?)[-/](\d\d?)[T ]\s*{_TIME}\s*(Z|[+-]\d\d:?\d\d)?$")
 _DOTTED = re.compile(rf"(\d\d?)\.(\d\d?)\.(\d{{4}})[T, ]\s*{_TIME}$")
+_SPAN = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*(s|sec|ms|us|µs|min)$")
+_SPANS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0}  # s
 _BARE = re.compile(rf"{_TIME}$")
 
 
 def is_stamp(text: str) -> bool:
     """Return whether a text is a timestamp that `seconds` reads."""
     text = text.strip()
-    return any(pattern.match(text) for pattern in (_ISO, _DOTTED, _BARE))
+    return any(pattern.match(text) for pattern in (_ISO, _DOTTED, _BARE, _SPAN))
 
 
 def seconds(texts: Sequence[str]) -> Array | None:
@@ -37,7 +39,9 @@ def seconds(texts: Sequence[str]) -> Array | None:
         return None
     if not np.isfinite(found).any():
         return None
-    if found[np.isfinite(found)].max() < DAY:  # without a date: a time that falls by hours is that of the next day
+    if found[np.isfinite(found)].max() < DAY and ":" in "".join(
+        texts[:2]
+    ):  # without a date: a time that falls by hours is that of the next day
         known = np.flatnonzero(np.isfinite(found))
         found[known] += DAY * np.cumsum(np.diff(found[known], prepend=found[known[0]]) < -DAY / 2)
     return found
@@ -53,6 +57,8 @@ def _stamp(text: str) -> float:
     elif match := _BARE.match(text):
         hours, minutes, rest = match.groups()
         return 3600.0 * int(hours) + 60.0 * int(minutes) + float(rest.replace(",", "."))
+    elif match := _SPAN.match(text):
+        return float(match[1].replace(",", ".")) * _SPANS[match[2]]
     else:
         raise ValueError(text)
     hours, minutes, rest = clock

@@ -71,17 +71,17 @@ def _unpacked_size(stream: BinaryIO) -> int:
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Give what a tree of structs holds; the elements of an array of structs are numbered from 1."""
+    """Give what a tree of structs holds; the elements of an array of structs have their label, or are numbered from 1."""
     for key, value in tree.items():
         name = f"{prefix}{key}"
+        elements = list(value.flat) if isinstance(value, np.ndarray) and value.dtype == object else value
         if isinstance(value, Mapping):
             yield from _flat(value, f"{name}.")
-        elif isinstance(value, list) and value and all(isinstance(each, Mapping) for each in value):
-            for number, each in enumerate(value, start=1):
-                yield from _flat(each, f"{name}({number}).")
-        elif isinstance(value, np.ndarray) and value.size and all(isinstance(each, dict) for each in value.flat):
-            for number, each in enumerate(value.flat, start=1):
-                yield from _flat(each, f"{name}({number}).")
+        elif isinstance(elements, list) and elements and all(isinstance(each, Mapping) for each in elements):
+            labels = [each.get("label") for each in elements]
+            distinct = all(isinstance(label, str) and label for label in labels) and len(set(labels)) == len(labels)
+            for number, (each, label) in enumerate(zip(elements, labels, strict=True), start=1):
+                yield from _flat(each, f"{name}.{label}." if distinct else f"{name}({number}).")
         else:
             yield name, value
 

@@ -144,9 +144,9 @@ def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Headin
     if first is None:
         raise BristleError(f"record {path}: no data below the line of column names; write numbers there")
     above = [k for k in filled if k < first]
-    if not above:
-        raise BristleError(f"record {path}: the first line holds numbers; write the column names there")
-    header, units = _fields(rows, above[-1], mark, lines, width), []
+    header, units = _fields(rows, above[-1], mark, lines, width) if above else [], []
+    if len(header) < min(width, 2) or (len(header) != width and rows[above[-1]][0].startswith(tuple(REMARK))):
+        header = [""] * width  # at most a title
     if len(above) > 1 and _is_units(header):
         named = _fields(rows, above[-2], mark, lines, width)
         if len(named) >= len(header) and not _is_units(named):

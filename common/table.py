@@ -54,7 +54,7 @@ def _unreadable(path: Path, error: Exception) -> BristleError:
 
 
 READERS: dict[str, Callable[[Path], Columns]] = {
-    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc", ".log"), read_delimited),
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".lvm", ".prn"), read_delimited),
     ".mat": read_mat,
     **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
     ".npz": read_npz,

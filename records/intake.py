@@ -273,7 +273,9 @@ def _bridge(raw: Raw) -> None:
             continue
         edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]))).reshape(-1, 2)
         longest, count = int(np.max(edges[:, 1] - edges[:, 0])), int(np.sum(bad))
-        where = f"{key} is not finite at {count} samples (first at sample {edges[0, 0]}, at most {longest} in a row)"
+        where = (
+            f"{key} is not finite at {count} of {len(values)} samples (first at sample {edges[0, 0]}, at most {longest} in a row)"
+        )
         if longest > BRIDGED_SAMPLES or count > BRIDGED_SHARE * len(values):
             allowed = f"{BRIDGED_SAMPLES} in a row and {BRIDGED_SHARE:.0%} in all are interpolated"
             raise raw.error(f"{where}; {allowed}: repair them or cut the record")

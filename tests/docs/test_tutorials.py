@@ -30,8 +30,8 @@ def same(shown: str, printed: str) -> None:
     np.testing.assert_allclose(numbers[1], numbers[0], rtol=TOLERANCE, atol=0.02)
 
 
-def test_all_six_are_there():
-    assert PAGES == ["diagnose.md", "fmu.md", "own_observer.md", "own_scenario.md", "rig.md", "run.md"]
+def test_all_seven_are_there():
+    assert PAGES == ["diagnose.md", "fmu.md", "log_files.md", "own_observer.md", "own_scenario.md", "rig.md", "run.md"]
 
 
 @pytest.mark.slow

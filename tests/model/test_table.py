@@ -15,7 +15,7 @@ T = np.arange(300) * 1e-3
 TABLE = {"t": T, "u": np.sin(3 * T) / 3, "theta": np.cos(T) * 1e-7}
 
 
-TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log")
+TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".lvm", ".prn")
 
 
 def write(path):
@@ -144,7 +144,6 @@ def test_a_missing_value_of_parquet_is_nan(tmp_path):
         ("t,u\non,off\n", ["no data below"]),
         ("t\0,u\n0,1\n", ["is no text"]),
         ("t,t\n0,1\n", ["'t' is there twice"]),
-        ("0,1\n1,2\n", ["first line holds numbers"]),
         ("t,u\n", ["no data below the line of column names"]),
         ("", ["is empty"]),
         ("\n\n", ["is empty"]),
@@ -255,6 +254,8 @@ def test_text_of_any_encoding(encoding, end, tmp_path):
         ("  Time [s]  Angle [deg]\n   0.0   1.0\n   1.0   2.0\n", {"Time [s]": [0, 1], "Angle [deg]": [1, 2]}, {}),
         ("# Time [s] Angle [deg]\n0.0 1.0\n1.0 2.0\n", {"Time [s]": [0, 1], "Angle [deg]": [1, 2]}, {}),
         ("t;u;\n0;1;\n1;2;\n", {"t": [0, 1], "u": [1, 2]}, {}),
+        ("0,1\n1,2\n", {"column 1": [0, 1], "column 2": [1, 2]}, {}),
+        ("# log of rig 3\n0 1\n1 2\n", {"column 1": [0, 1], "column 2": [1, 2]}, {}),
         (",t,u\n0,5,6\n1,6,7\n", {"column 1": [0, 1], "t": [5, 6], "u": [6, 7]}, {}),
     ],
 )
@@ -285,6 +286,8 @@ def test_a_last_line_that_was_cut_off_is_left_out(tmp_path):
         (["2026-11-24 18:50:41,250+01:00", "2026-11-24 18:50:41,750+01:00"], 1795542641.25),
         (["24.11.2026 17:50:41,25", "24.11.2026 17:50:41,75"], 1795542641.25),
         (["23:59:59.75", "00:00:00.25"], 86399.75),
+        (["0.25 sec", "0.75 sec"], 0.25),
+        (["250 ms", "750 ms"], 0.25),
     ],
 )
 def test_timestamps_are_seconds(stamps, first, tmp_path):
@@ -319,10 +322,10 @@ def test_structs_and_matrices_of_matlab(tmp_path):
     signals = np.array([({"label": "u", "values": T},), ({"label": "y", "values": 2 * T},)], dtype=object)[:, 0]
     savemat(tmp_path / "r.mat", {"log": {"t": T[:, None], "data": {"u": 3 * T}}, "M": np.column_stack([T, -T]), "scope": signals})
     columns = read_columns(tmp_path / "r.mat")
-    assert sorted(columns) == ["M(:,1)", "M(:,2)", "log.data.u", "log.t", "scope(1).values", "scope(2).values"]
+    assert sorted(columns) == ["M(:,1)", "M(:,2)", "log.data.u", "log.t", "scope.u.values", "scope.y.values"]
     np.testing.assert_array_equal(columns["log.data.u"], 3 * T)
     np.testing.assert_array_equal(columns["M(:,2)"], -T)
-    np.testing.assert_array_equal(columns["scope(2).values"], 2 * T)
+    np.testing.assert_array_equal(columns["scope.y.values"], 2 * T)
 
 
 def test_mat_files_of_version_73(tmp_path):

@@ -259,7 +259,10 @@ def test_nearly_the_same_rate_is_the_same(layout):
         (lambda t, u, y: (np.where(t > 3, t - 3, t), u, y), ["decreases at sample 3001", "two runs"]),
         (lambda t, u, y: (t + 0.8 * H * np.random.default_rng(1).random(N) ** 4, u, y), None),
         (lambda t, u, y: (t + 0.8 * H * (np.arange(N) % 2), u, y), ["scatter by 63%", "steady clock"]),
-        (lambda t, u, y: (t, holes(u, range(71, 77)), y), ["input is not finite at 6 samples (first at sample 71, at most 6 in a"]),
+        (
+            lambda t, u, y: (t, holes(u, range(71, 77)), y),
+            ["input is not finite at 6 of 6000 samples (first at sample 71, at most 6 in a"],
+        ),
         (lambda t, u, y: (t, u, holes(y, range(72, N - 1, 40))), ["output is not finite at 149", "2% in all are interpolated"]),
         (lambda t, u, y: (t, u, y * np.nan), ["no sample is finite"]),
         (lambda t, u, y: (t, 0 * u + 0.2, y), ["input is constant (0.2 N.m)", "[input] column"]),
@@ -365,7 +368,7 @@ def test_the_same_record_in_another_format_is_a_copy(layout, message):
 def test_masked_samples_are_missing(layout, message):
     t, u, y = motion()
     assert len(one(layout, t, u, np.ma.masked_where(t < 0.01, y))) == N - 10
-    only(one(layout, t, np.ma.masked_where(t == t[70], u), y), "input is not finite at 1 samples (first at sample 70")
+    only(one(layout, t, np.ma.masked_where(t == t[70], u), y), "input is not finite at 1 of 6000 samples (first at sample 70")
 
 
 def test_a_record_made_by_hand_is_checked(layout, message):
@@ -434,7 +437,7 @@ def test_holes_at_the_ends_are_cut_off(layout):
 def test_a_few_holes_are_interpolated_and_said(layout):
     t, u, y = motion()
     record = one(layout, holes(t, [70], np.inf), holes(u, [900, 901]), holes(y, range(72, 77)))
-    assert [line.split(" samples ")[0] for line in said(record)] == [
+    assert [line.split(" of ")[0] for line in said(record)] == [
         "record run: time is not finite at 1", "record run: input is not finite at 2", "record run: output is not finite at 5",
     ]  # fmt: skip
     assert "first at sample 72, at most 5 in a row); interpolated" in said(record)[2]
@@ -639,7 +642,7 @@ def test_a_velocity_besides_the_position_is_treated_alike(tree, tmp_path, messag
     assert record.velocity is not None
     assert len(record.velocity) == len(record.y)
     np.testing.assert_allclose(record.velocity, np.interp(record.time, uneven, v), atol=2e-3)
-    for long, words in ((1, "1 samples (first at sample 70"), (6, None)):
+    for long, words in ((1, "1 of 6000 samples (first at sample 70"), (6, None)):
         np.savez(tmp_path / "hole.npz", **columns | {"v": holes(v, range(70, 70 + long))})
         if words:
             assert f"velocity is not finite at {words}" in records.read_record(layout, tmp_path / "hole.npz").findings[0]
