@@ -18,6 +18,7 @@ from bristle.common.errors import BristleError
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 HDF5_OFFSETS = (0, 512)  # bytes: where it stands; before it, MATLAB writes a line of text
+MATLAB_NUMBERS = ("double", "single", "int", "uint")  # begin of the classes of numbers
 NPY_MAGIC = b"\x93NUMPY"
 MAT_HEADER, MAT_COMPRESSED = 128, 15  # bytes before the first element of a MAT file; type of a compressed element
 MAT_ORDERS: dict[Literal["little", "big"], bytes] = {
@@ -99,9 +100,11 @@ def read_hdf5(path: Path) -> Columns:
             nonlocal size
             if name.startswith("#") or not isinstance(item, h5py.Dataset):
                 return
-            name, kind = name.replace("/", "."), item.attrs.get("MATLAB_class", b"")
-            if item.dtype.kind not in "fiu" or kind in (b"char", b"cell", b"logical"):
-                other[name] = "text" if kind == b"char" or item.dtype.kind in "SO" else kind.decode() or "no numbers"
+            name, numeric = name.replace("/", "."), item.dtype.kind in "fiu"
+            kind = item.attrs.get("MATLAB_class", "double" if numeric else "char")
+            kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+            if not numeric or not kind.startswith(MATLAB_NUMBERS):
+                other[name] = "text" if kind == "char" else f"a MATLAB {kind}"
                 return
             size += 8 * math.prod(item.shape or (0,))
             must_fit(path, size, len(found))

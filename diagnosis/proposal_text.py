@@ -108,9 +108,9 @@ def summary(found: Proposal) -> list[str]:
     shown = resolution_of(found)
     steps = f", in steps of {shown[1]}" if shown else ", without steps"
     lines = [
-        f"time    {_of(found.time)}, every {1e3 * first.h:.4g} ms",
-        f"input   {_of(found.input)}, {found.input.kind}",
-        f"output  {_of(found.output)}, {found.output.kind}{steps}",
+        f"time    {_of(found.time)}, every {1e3 * first.h:.4g} ms{_or(found, 'time')}",
+        f"input   {_of(found.input)}, {found.input.kind}{_or(found, 'input')}",
+        f"output  {_of(found.output)}, {found.output.kind}{steps}{_or(found, 'output')}",
     ]
     units = {"J": J, "a2": A2, "Fc": next(p for p in law("coulomb").parameters if p.name.endswith(".Fc"))}
     values = ", ".join(f"{n} {r.value:g} {own_unit(units[n], linear, found.input.kind)}" for n, r in found.rough.items())
@@ -126,6 +126,12 @@ def summary(found: Proposal) -> list[str]:
     notes = [*found.doubts, *(line for record in found.records for line in record.findings)]
     notes += [f"these records cannot tell effects apart by form: {x['narrow']}"] if x["narrow"] else []
     return [*lines, *(f"  - {line}" for line in (*notes, *x["caveats"]))]
+
+
+def _or(found: Proposal, role: str) -> str:
+    """Return the other columns that may have a role."""
+    names = [f"'{each.column.column}'" for each in found.others[role]]
+    return f" (or {', '.join(names)})" if names else ""
 
 
 def _of(candidate: Candidate) -> str:

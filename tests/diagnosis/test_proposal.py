@@ -93,6 +93,17 @@ def test_what_cannot_be_told_is_said_and_kept_as_a_comment(tmp_path):
     assert propose(tmp_path / "run.csv", {"input": "torque A [Nm]"}).input.column.column == "torque A [Nm]"
 
 
+def test_a_torque_comes_before_a_current_and_a_position_before_a_speed(tmp_path):
+    def more(t, u, y):
+        return t, u * 4, np.gradient(y, t), y, u
+
+    found = propose(plain(tmp_path, "t [s],i [A],speed [rad/s],angle [rad],torque [Nm]", more))
+    assert [each.column.column for each in (found.input, found.output)] == ["torque [Nm]", "angle [rad]"]
+    assert [each.column.column for each in found.others["input"]] == ["i [A]"]
+    assert "input   'torque [Nm]' in N.m, torque (or 'i [A]')" in summary(found)
+    assert '# kind = "current"' in model_text(found, "")
+
+
 def test_a_setpoint_is_no_output_and_a_counter_no_input(tmp_path):
     def more(t, u, y):
         return np.arange(len(t)), t, np.round(y), y, u

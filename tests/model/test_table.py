@@ -335,12 +335,14 @@ def test_mat_files_of_version_73(tmp_path):
         file["log/t"], file["log/M"] = T[None, :], np.array([T, -T])
         file["name"] = np.array([[82, 49]], dtype=np.uint16)
         file["name"].attrs["MATLAB_class"] = np.bytes_("char")
+        file["run"] = np.arange(6, dtype=np.uint32)
+        file["run"].attrs["MATLAB_class"] = np.bytes_("timeseries")
     with (tmp_path / "r.mat").open("r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
     columns = read_columns(tmp_path / "r.mat")
     assert sorted(columns) == ["log.M(:,1)", "log.M(:,2)", "log.t"]
     np.testing.assert_array_equal(columns["log.M(:,2)"], -T)
-    assert columns.unusable == {"name": "text"}
+    assert columns.unusable == {"name": "text", "run": "a MATLAB timeseries"}
 
 
 # -- limits --------------------------------------------------------------------------------------------------------------
