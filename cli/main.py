@@ -318,7 +318,7 @@ def reproduce(
     epilog="Exit code 0: the model file is written; 2: an error.",
 )
 def init(
-    data: Annotated[list[Path], typer.Argument(help="measured files or patterns", metavar="FILE...", parser=_path)],
+    data: Annotated[list[Path], typer.Argument(help="measured files or patterns", metavar="FILE", parser=_path)],
     out: Annotated[Path, typer.Option(help="model file to write", metavar="MODEL.toml", parser=_path)] = Path("model.toml"),
     time: Annotated[str | None, typer.Option(help="column of the time", metavar="COLUMN")] = None,
     input_: Annotated[str | None, typer.Option("--input", help="column of the input", metavar="COLUMN")] = None,

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from bristle.common.arguments import as_paths
 from bristle.common.columns import Columns
 from bristle.common.errors import BristleError
 from bristle.common.table import Array, read_columns
@@ -23,7 +22,7 @@ from bristle.diagnosis.checks.torque_regression import Regression, Rows, explain
 from bristle.diagnosis.modelfile import Model, own_unit
 from bristle.plant.servo import A2, J
 from bristle.records.choice import Candidate, Files, candidates, fitted
-from bristle.records.intake import records_of_tables
+from bristle.records.intake import distinct_files, records_of_tables
 from bristle.records.layout import Layout, LayoutTable, layout_of
 from bristle.records.record import Record
 
@@ -125,9 +124,7 @@ def propose(
     BristleError
         One line, if the files cannot be read or nothing can be proposed.
     """
-    listed = as_paths("paths", paths)
-    if not listed:
-        raise BristleError("no record is given; give at least one measured file")
+    listed = distinct_files(paths)
     asked = {role: name for role, name in (columns or {}).items() if name is not None}
     tables = {path: read_columns(path) for path in listed}
     files = Files(tables, dict(units or {}))

@@ -20,6 +20,7 @@ TURN_COUNTS = 4096  # counts a turn that are assumed where nothing shows them
 COUNTER_STEPS = 50  # steps: an output of whole numbers that covers more of them is a counter
 DISTINCT_SHARE = 0.9  # of the samples: least share of different values of a time
 USUAL_PERIOD = 1e-3  # s: sampling period that a unit of the time is chosen by, where none is given
+SLOWEST_PERIOD = 0.1  # s: longest sampling period of a time in s
 EPOCHS = {1e17: "ns", 1e14: "us", 1e11: "ms"}  # a time above it counts from 1970, in this unit
 SHOWN_COLUMNS = 12  # columns that an error lists at most
 RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}  # 0: the first choice
@@ -122,7 +123,10 @@ def candidates(files: Files, role: str, asked: str | None, taken: Sequence[str] 
     found = [each for each in make(files, asked) if each.column.column not in taken]
     if not found:
         where = next(iter(files.tables))
-        raise BristleError(f"record {where}: no column is likely to be the {role}; give it with --{role} COLUMN: {_listed(names)}")
+        alone = sorted({name for table in files.tables.values() for name in table} - set(files.names))
+        more = f"; not in every file, or of another length: {_listed(alone)}" if alone else ""
+        likely = f"no column is likely to be the {role}; give it with --{role} COLUMN: {_listed(names)}{more}"
+        raise BristleError(f"record {where}: {likely}")
     return sorted(found, key=lambda each: (each.rank, each.scatter))
 
 
@@ -160,13 +164,13 @@ def _time(h: Heading, clock: bool, values: Array, scatter: float) -> Candidate:
 
 
 def _time_unit(values: Array) -> str:
-    """Return the unit in which the sampling period is nearest to the usual one; whole numbers are no seconds."""
+    """Return s, or for whole numbers and long intervals the unit in which the sampling period is nearest to the usual one."""
     for least, unit in EPOCHS.items():
         if abs(values[0]) > least:
             return unit
     step = float(np.median(np.diff(values)))
     whole = (values == np.round(values)).all()
-    if not whole or step <= 0.0:
+    if step <= 0.0 or not (whole or step > SLOWEST_PERIOD):
         return "s"
     return min(("ms", "us", "ns"), key=lambda unit: abs(np.log(step * factor_to(unit, None, "s") / USUAL_PERIOD)))
 

@@ -92,6 +92,12 @@ def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
         What the records must have; `BristleError` says what one lacks.
     """
     _must_be_layout(layout)
+    listed = distinct_files(paths)
+    return records_of_tables(layout, ((path, read_columns(path)) for path in listed), listed, needs)
+
+
+def distinct_files(paths: Path | str | Sequence[Path | str]) -> list[Path]:
+    """Return the measured files that are given, at least one and none twice."""
     listed = as_paths("paths", paths)
     if not listed:
         raise BristleError("no record is given; give at least one measured file")
@@ -99,7 +105,7 @@ def read_records(layout: Layout, paths: Path | str | Sequence[Path | str], needs
     for k, path in enumerate(real):
         if path in real[:k]:
             raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")
-    return records_of_tables(layout, ((path, read_columns(path)) for path in listed), listed, needs)
+    return listed
 
 
 def records_of_tables(

@@ -144,6 +144,7 @@ def test_names_that_say_nothing_are_compared_by_what_they_explain(tmp_path):
     ("header", "scale", "unit"),
     [
         ("t,u,y", (1.0, 1.0, 1.0), "s"), ("t,u,y", (1e3, 1.0, 1.0), "ms"), ("t,u,y", (1e6, 1.0, 1.0), "us"),
+        ("t,u,y", (1000.001, 1.0, 1.0), "ms"),
         ("time (ms),u,y", (1e3, 1.0, 1.0), "ms"), ("a,u,y", (1.0, 1.0, 1.0), "s"),
     ],
 )  # fmt: skip
@@ -207,3 +208,12 @@ def test_units_of_no_column_and_no_unit(tmp_path):
             propose(path, units=units)
     with pytest.raises(BristleError, match="no record is given"):
         propose([])
+    with pytest.raises(BristleError, match="is given twice"):
+        propose([path, path])
+
+
+def test_files_of_other_columns_are_named(tmp_path):
+    (tmp_path / "more").mkdir()
+    paths = [plain(tmp_path, "t,torque,angle"), plain(tmp_path / "more", "t,torque,winkel", lambda t, u, y: (t, y, u))]
+    with pytest.raises(BristleError, match=r"likely to be the output.*: torque; not in every file, .*: angle, winkel"):
+        propose(paths)
