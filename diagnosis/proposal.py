@@ -31,6 +31,7 @@ BOUND_RATIO = 5.0  # a parameter may move by this factor either way
 GUESS_RATIO = 30.0  # the same for an inertia that the records hardly show
 LEVEL_SHARE = 0.5  # of the input's torque, rms: largest friction where the regression gives none
 DIGITS = 3  # of a rough parameter
+BETTER_RATIO = 2.0  # factor by which another pair must explain more than the one that the names propose
 SAME_CORRELATION = 0.999  # of two columns: they are one quantity, a reference and what follows it, and no input and output
 MOST_PAIRS = 40  # pairs of input and output that are compared by regression
 LEAST_SHARE = 0.5  # of the input: what its motion must explain of one that its name proposes, else all columns are compared
@@ -183,7 +184,8 @@ def _best(
     last = [each for each in outputs if each.rank == outputs[0].rank]
     readings = _readings(tables, time, first, last)
     if readings[0].best < LEAST_SHARE and (len(first) < len(inputs) or len(last) < len(outputs)):
-        readings = _readings(tables, time, inputs, outputs)
+        others = _readings(tables, time, inputs, outputs)
+        readings = others if others[0].best > BETTER_RATIO * readings[0].best else readings
     best, doubts = readings[0], []
     for role in ("input", "output"):
         chosen = getattr(best, role).column.column
@@ -308,9 +310,8 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[str]]:
         rough[name] = Rough(value, error, low, _rounded(max(BOUND_RATIO * value, 0.0 if name == "J" else most)))
     for name, parameter in (("J", J), ("a2", A2)):
         if not parameter.minimum <= rough[name].value <= parameter.maximum:
-            seen = (
-                f"{name} comes out at {rough[name].value:g} {own_unit(parameter, reading.layout.linear, reading.layout.input_kind)}"
-            )
+            unit = own_unit(parameter, reading.layout.linear, reading.layout.input_kind)
+            seen = f"{name} comes out at {rough[name].value:g} {unit}"
             allowed = interval(parameter.minimum, parameter.maximum)
             raise BristleError(f"{seen}, allowed {allowed}; give the right units with --unit COLUMN=UNIT")
     return rough, doubts

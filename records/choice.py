@@ -21,7 +21,6 @@ COUNTER_STEPS = 50  # steps: an output of whole numbers that covers more of them
 DISTINCT_SHARE = 0.9  # of the samples: least share of different values of a time
 USUAL_PERIOD = 1e-3  # s: sampling period that a unit of the time is chosen by, where none is given
 SLOWEST_PERIOD = 0.1  # s: longest sampling period of a time in s
-EPOCHS = {1e17: "ns", 1e14: "us", 1e11: "ms"}  # a time above it counts from 1970, in this unit
 SHOWN_COLUMNS = 12  # columns that an error lists at most
 RANKS = {"torque": 0, "force": 0, "current": 1, "voltage": 2, "position": 0, "velocity": 1}  # 0: the first choice
 SETPOINT_RANK, LETTER_RANK, UNKNOWN_RANK = 10, 15, 20  # of a setpoint among outputs, of u and y, of a column of any other name
@@ -165,9 +164,6 @@ def _time(h: Heading, clock: bool, values: Array, scatter: float) -> Candidate:
 
 def _time_unit(values: Array) -> str:
     """Return s, or for whole numbers and long intervals the unit in which the sampling period is nearest to the usual one."""
-    for least, unit in EPOCHS.items():
-        if abs(values[0]) > least:
-            return unit
     step = float(np.median(np.diff(values)))
     whole = (values == np.round(values)).all()
     if step <= 0.0 or not (whole or step > SLOWEST_PERIOD):
