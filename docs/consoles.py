@@ -17,6 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 TUTORIALS = Path(__file__).resolve().parent / "tutorials"
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+PROGRESS = re.compile(r"^\w+: .*, \d+%\n", re.MULTILINE)  # a line that a long computation prints every few seconds
 MARK = "--- end of output ---"
 LIMIT = 900  # s
 
@@ -45,7 +46,7 @@ def script(text: str) -> str:
 
 
 def outputs(text: str) -> list[str]:
-    """Run the commands of a page in a folder of their own and return what each prints, both streams together."""
+    """Run the commands of a page in a folder of their own and return what each prints, both streams together, without progress."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "scenarios").symlink_to(ROOT / "scenarios")
         paths = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
@@ -53,7 +54,7 @@ def outputs(text: str) -> list[str]:
             ["bash", "-c", f"exec 2>&1\n{script(text)}"], cwd=folder, env=os.environ | {"PATH": paths, "COLUMNS": "120"},
             capture_output=True, text=True, timeout=LIMIT, check=False,
         )  # fmt: skip
-    found = done.stdout.split(f"\n{MARK}\n")
+    found = PROGRESS.sub("", done.stdout).split(f"\n{MARK}\n")
     return found[:-1]
 
 

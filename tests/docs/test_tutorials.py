@@ -44,6 +44,11 @@ def test_the_commands_print_what_the_page_shows(page):
         same(expected, found)
 
 
+def test_progress_is_no_output():
+    page = "```console\n$ echo 'diagnose: trying gravity, 41%'; echo 41%\n```\n"
+    assert consoles.outputs(page) == ["41%\n"]
+
+
 @pytest.mark.parametrize(("shown", "printed"), [("error 0.30 %", "error 0.90 %"), ("ok b", "failed b"), ("", "an error")])
 def test_another_output_is_noticed(shown, printed):
     with pytest.raises(AssertionError):
