@@ -24,6 +24,8 @@ BLANKS = frozenset({"", "-", "--", "---", "nan", "na", "n/a", "#n/a", "#nv", "nu
 SHOWN_FIELD = 30  # letters of a field that an error shows at most
 
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?$")
+_BRACKETED = re.compile(r"[\[(].*[\])]$")
+_CLOCK_FORMAT = re.compile(r"(?=.*h)(?=.*m)[ymdhsfzt:.,/ -]+$", re.IGNORECASE)  # of a time, in a row of units: hh:mm:ss.fff
 _WORD_WITH_UNIT = re.compile(r"\S+(?:\s?\[[^\]]*\]|\s?\([^)]*\))?")
 Rows = Sequence[Sequence[str]]
 
@@ -151,7 +153,10 @@ def _heading(path: Path, rows: Rows, mark: str, lines: Sequence[str]) -> _Headin
         named = _fields(rows, above[-2], mark, lines, width)
         if len(named) >= len(header) and not _is_units(named):
             header, units = named, header
-    if len(header) != width and not (len(header) == width - 1 and all(_blank(row[-1]) for row in below if len(row) == width)):
+    spare = all(not row[-1].strip() for row in below if len(row) == width)  # a separator at the end of each line
+    if above and not spare and len(rows[above[-1]]) == width:  # the last columns have no name
+        header = [*header, *[""] * (width - len(header))]
+    if len(header) != width and not (len(header) == width - 1 and spare):
         line = first + 1
         raise BristleError(f"record {path}: line {line} has {width} values, the header {len(header)}; correct that line")
     names = [name or f"column {k}" for k, name in enumerate(header, start=1)]
@@ -186,7 +191,7 @@ def _fields(rows: Rows, k: int, mark: str, lines: Sequence[str], width: int) -> 
 def _is_units(row: Sequence[str]) -> bool:
     """Return whether all fields of a row are units, or in brackets as units are."""
     fields = [field for field in row if not _blank(field)]
-    return bool(fields) and all(re.fullmatch(r"[\[(].*[\])]", field) or unit_symbol(field) for field in fields)
+    return bool(fields) and all(_BRACKETED.match(field) or _CLOCK_FORMAT.match(field) or unit_symbol(field) for field in fields)
 
 
 # -- numbers -------------------------------------------------------------------------------------------------------------

@@ -254,6 +254,8 @@ def test_text_of_any_encoding(encoding, end, tmp_path):
         ("  Time [s]  Angle [deg]\n   0.0   1.0\n   1.0   2.0\n", {"Time [s]": [0, 1], "Angle [deg]": [1, 2]}, {}),
         ("# Time [s] Angle [deg]\n0.0 1.0\n1.0 2.0\n", {"Time [s]": [0, 1], "Angle [deg]": [1, 2]}, {}),
         ("t;u;\n0;1;\n1;2;\n", {"t": [0, 1], "u": [1, 2]}, {}),
+        ("t;u;state\nhh:mm:ss;V;\n0;1;off\n1;2;on\n", {"t": [0, 1], "u": [1, 2]}, {"t": "hh:mm:ss", "u": "V"}),
+        ("t;u;\n0;1;5\n1;2;6\n", {"t": [0, 1], "u": [1, 2], "column 3": [5, 6]}, {}),
         ("0,1\n1,2\n", {"column 1": [0, 1], "column 2": [1, 2]}, {}),
         ("# log of rig 3\n0 1\n1 2\n", {"column 1": [0, 1], "column 2": [1, 2]}, {}),
         (",t,u\n0,5,6\n1,6,7\n", {"column 1": [0, 1], "t": [5, 6], "u": [6, 7]}, {}),
