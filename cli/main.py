@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
+import shlex
 import signal
 import sys
 import time
@@ -372,6 +373,7 @@ def diagnose(
     _check_effect(choose)
     data = files_of(data)
     from bristle.common.output import output_folder
+    from bristle.common.provenance import provenance_of
     from bristle.diagnosis.report.export import check_places, write
 
     options = _search_options(jobs, budget)
@@ -381,7 +383,7 @@ def diagnose(
         tell("writing", 1.0)
         problem = None
         try:
-            write(found, out, choose, fmi=int(fmi.value))
+            write(found, out, choose, fmi=int(fmi.value), made=provenance_of(fmu or model, data, _command()))
         except BristleError as error:
             problem = error
     _summary(found, choose if problem is None else None)  # the answer is printed even if it cannot be written
@@ -389,6 +391,11 @@ def diagnose(
         print(f"{found.verdict}  {out / 'report.html'}", flush=True)
     if problem is not None:
         raise problem
+
+
+def _command() -> str:
+    """Return the command that repeats this call."""
+    return shlex.join(["bristle", *sys.argv[1:]])
 
 
 def _check_effect(name: str | None) -> None:
@@ -480,11 +487,10 @@ def validate(
     debug: DebugOption = False,
 ) -> None:
     """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from what was measured."""
-    import shlex
-
     from bristle import diagnosis
     from bristle.common.output import output_folder
-    from bristle.diagnosis.whole.report import check_validation_places, origin, sentences, write_validation
+    from bristle.common.provenance import provenance_of
+    from bristle.diagnosis.whole.report import check_validation_places, sentences, write_validation
 
     data = files_of(data)
     if model.suffix.lower() == ".fmu":
@@ -499,8 +505,7 @@ def validate(
         tell("simulating", 0.2)
         found = diagnosis.validate(known, records) if fmu is None else diagnosis.validate_fmu(fmu, known, records, timeout)
         tell("writing", 0.9)
-        words = ["bristle", *sys.argv[1:]]
-        write_validation(found, out, origin(fmu or model, data, shlex.join(words)))
+        write_validation(found, out, provenance_of(fmu or model, data, _command()))
     for line in (*sentences(found), *(f"  - {finding}" for finding in found.findings), out / "report.html"):
         print(line)
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
+from collections.abc import Iterable
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 
@@ -12,3 +16,19 @@ def provenance() -> dict[str, Any]:
     """Return version of the library, date and time in UTC, and platform, for the key `provenance` of a result."""
     machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
     return {"version": version("bristle"), "date": datetime.now(UTC).isoformat(timespec="seconds"), "platform": machine}
+
+
+def provenance_of(model: Path | None, records: Iterable[Path], command: str = "") -> dict[str, Any]:
+    """Return the same with the SHA-256 of the files that a result was made from, and the command that repeats it.
+
+    That of a file that is gone since is null: the result is worth more than its hash.
+    """
+
+    def sha256(path: Path) -> str | None:
+        with suppress(OSError):
+            return hashlib.sha256(path.read_bytes()).hexdigest()
+        return None
+
+    found = provenance() | {"records_sha256": {str(path): sha256(path) for path in records}}
+    found |= {} if model is None else {"model_sha256": sha256(model)}
+    return found | ({"command": command} if command else {})

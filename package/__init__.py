@@ -242,6 +242,7 @@ def diagnose(
         the folder cannot be written.
     """
     from bristle import diagnosis
+    from bristle.common.provenance import provenance_of
     from bristle.diagnosis.report.export import check_places
     from bristle.plant.effects import effect
 
@@ -258,7 +259,9 @@ def diagnose(
     else:
         found = diagnosis.diagnose_fmu(as_path("fmu", fmu), known, records, progress=progress)
     if out is not None:
-        diagnosis.write(found, Path(out), choose)
+        given = fmu if fmu is not None else model
+        made = provenance_of(Path(given) if isinstance(given, (str, os.PathLike)) else None, files)
+        diagnosis.write(found, Path(out), choose, made=made)
     return found
 
 
@@ -297,7 +300,8 @@ def validate(
         If model or data cannot be read or do not fit together, the FMU crashes or takes too long, or the folder cannot be written.
     """
     from bristle import diagnosis
-    from bristle.diagnosis.whole.report import check_validation_places, origin
+    from bristle.common.provenance import provenance_of
+    from bristle.diagnosis.whole.report import check_validation_places
 
     files, records = _split(data)
     given = [Path(path) for path in (model, fmu) if isinstance(path, (str, os.PathLike))]
@@ -311,7 +315,7 @@ def validate(
     else:
         found = diagnosis.validate_fmu(as_path("fmu", fmu), known, records, timeout)
     if out is not None:
-        diagnosis.write_validation(found, Path(out), origin(given[-1] if given else None, files))
+        diagnosis.write_validation(found, Path(out), provenance_of(given[-1] if given else None, files))
     return found
 
 

@@ -10,15 +10,12 @@ from typing import Any
 import measured_data as measured
 import numpy as np
 from measured_data import Array, Entry
-from scipy.optimize import least_squares
 
 from bristle.diagnosis import Diagnosis, Model, Record, diagnose, records_from_arrays
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.estimation.dataset import smooth
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
-from bristle.model.native import Native
-from bristle.plant.servo import servo_program
 
 INPUT_UNITS = {"torque": "N.m", "voltage": "V", "current": "A"}
 
@@ -83,48 +80,21 @@ def emps(tell: Callable[[str], None]) -> Iterator[Run]:
     records = taken(model, [entry])
     tell("emps")
     found = diagnose(model, records)
-    before = values(found.base)
-    after = values(found.parameters) | {f"{e.name}.{p}": x.value for e in found.effects for p, x in e.parameters.items()}
-    names = tuple(e.name for e in found.effects)
-    y, runs, numbers = records[0].y, {}, {}
-    for what, tune in (("as fitted to segments", False), ("fitted to this run", True)):
-        for when, effects, start in (("before", (), before), ("after", names, after)):
-            own = tuned(model, effects, start, records[0]) if tune else start
-            runs[when] = whole_run(model, effects, own, records[0])
-        rmse = {when: float(np.sqrt(np.mean((run - y) ** 2))) for when, run in runs.items()}
-        drift = " and ".join(f"{1e3 * error:.2f} mm {when}" for when, error in rmse.items())
-        numbers[f"open-loop position over the whole record, rms error, {what}"] = drift
+    whole = found.whole
+    assert whole is not None
+    [row], [trace] = whole.records, whole.traces
+    numbers = {
+        "open loop over the whole record, rms error": f"{1e3 * row.rms_before:.2f} mm before, {1e3 * row.rms_after:.2f} mm after",
+        "FIT over the whole record": f"{row.fit_before:.1f} % before, {row.fit_after:.1f} % after",
+    }
+    if whole.refitted:
+        numbers["the same with the parameters of the segments"] = f"{1e3 * whole.horizons[-1].segments:.2f} mm"
     wanted = (frozenset({"bias"}), frozenset({"asymmetric_coulomb"}))
-    data = {"time": records[0].time, "measured": y, **runs, "rmse": rmse}
+    data = {
+        "time": trace.time, "measured": trace.measured, "before": trace.before, "after": trace.after,
+        "rmse": {"before": row.rms_before, "after": row.rms_after},
+    }  # fmt: skip
     yield Run("EMPS", "viscous and symmetric Coulomb friction given", wanted, tuple(records), found, numbers, data)
-
-
-def values(estimates: dict[str, Any]) -> dict[str, float]:
-    """Return the values of estimates."""
-    return {name: e.value for name, e in estimates.items()}
-
-
-def tuned(model: Model, effects: tuple[str, ...], start: dict[str, float], record: Record) -> dict[str, float]:
-    """Return the parameters with which the whole run is closest to the record."""
-    names = list(start)
-    scale = np.array([start[name] for name in names])
-
-    def error(x: Array) -> Array:
-        found = whole_run(model, effects, dict(zip(names, (x * scale).tolist(), strict=True)), record)
-        return np.asarray((found - record.y)[::10] / np.std(record.y))
-
-    best = least_squares(error, np.ones(len(names)), bounds=(0.2, 5.0), x_scale=0.05, diff_step=1e-4)
-    return dict(zip(names, (best.x * scale).tolist(), strict=True))
-
-
-def whole_run(model: Model, effects: tuple[str, ...], own: dict[str, float], record: Record) -> Array:
-    """Return the positions of a servo that follows the input of a whole record, in open loop from its first state."""
-    program = servo_program(model.friction, encoder=False, effects=effects)
-    first = record.y[: max(20, round(0.02 / record.h))]
-    speed = float(np.polyfit(record.h * np.arange(len(first)), first, 2)[1])
-    native = Native(program, model.settings(own) | {"theta_start": float(record.y[0]), "v_start": speed})
-    out, _ = native.run(record.h, {"u": record.u}, ["theta"])
-    return np.asarray(out[:-1, 0])
 
 
 # -- XL330 ---------------------------------------------------------------------------------------------------------------

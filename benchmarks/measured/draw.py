@@ -36,7 +36,7 @@ def emps(runs: Sequence[Run]) -> Any:
     low.axhline(0, color=INK, linewidth=0.7)
     low.legend(loc="upper left", ncols=2)
     low.margins(y=0.2)
-    set_title(low, "simulated in open loop from the first sample on, less measured")
+    set_title(low, "simulated in open loop over the whole record, less measured")
     low.set_ylabel("error, mm")
     low.set_xlabel("time, s")
     low.set_xlim(d["time"][0], d["time"][-1])

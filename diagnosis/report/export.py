@@ -7,9 +7,11 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from bristle.common.errors import BristleError, IncompleteError
 from bristle.common.output import check_no_folder, check_writable, replace_files, to_json
+from bristle.common.provenance import provenance
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
 from bristle.diagnosis.report.figures import draw
@@ -118,7 +120,7 @@ class _Package:
             self.notes.append(f"{name} was not written: {error}")
 
 
-def _package(diagnosis: Diagnosis, choose: str | None, fmi: int) -> _Package:
+def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[str, Any]) -> _Package:
     package = _Package()
     package.meaning = {"diagnosis.json": "the answer in numbers", "report.html": "this page"}
     augmented = None
@@ -129,7 +131,7 @@ def _package(diagnosis: Diagnosis, choose: str | None, fmi: int) -> _Package:
         package.notes.append(str(error))
         choose = None
     chosen = {} if choose is None else {"chosen": choose}  # what the augmented model has in place of what stands for it
-    package.content["diagnosis.json"] = to_json(diagnosis.to_dict() | chosen).encode()
+    package.content["diagnosis.json"] = to_json(diagnosis.to_dict() | chosen | {"provenance": made}).encode()
     if augmented is not None:
         _add_models(package, augmented, fmi)
     page = render(diagnosis, draw(diagnosis), package.meaning, package.notes, choose)
@@ -179,7 +181,9 @@ def _made(make: Callable[[Path], None]) -> bytes:
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
-def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: int = 2) -> list[Path]:
+def write(
+    diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: int = 2, made: Mapping[str, Any] | None = None
+) -> list[Path]:
     """Write a diagnosis into the folder `out`: the files of `WRITTEN_FILES` that there are; older ones of these names go.
 
     diagnosis.json and report.html always; augmented.toml and augmented.fmu if an effect was named (or none is missing:
@@ -195,6 +199,8 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
         Member of a tie to add by hand.
     fmi : int
         Version of the FMUs, 2 or 3.
+    made : mapping, optional
+        Where it comes from, for the key `provenance` of diagnosis.json.
 
     Returns
     -------
@@ -213,7 +219,7 @@ def write(diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: in
     out = Path(out)
     check_writable(out)
     check_places(out)
-    package = _package(diagnosis, choose, fmi)
+    package = _package(diagnosis, choose, fmi, provenance() if made is None else made)
     written = replace_files(out, package.content, WRITTEN_FILES)
     if package.problems:
         raise IncompleteError(f"{package.problems[0]} (all else is in {out})")

@@ -200,7 +200,7 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
     if not whole.refitted:
         why = f"a refit to more than segments of {segment:.3g} s does not lower the error where it was not fitted"
         return f"{found}. Its parameters are those of the segments: {why}."
-    to = "whole records" if whole.whole else f"stretches of {whole.refitted_to:.3g} s, the longest that the simulation stays with"
+    to = "whole records" if whole.whole else f"stretches of {whole.refitted_to:.3g} s, longer ones do not help"
     usual = f"with those of segments of {segment:.3g} s the error is {last.segments:.3g} {unit}"
     return f"{found}. Its parameters were refitted to {to}; {usual}."
 

@@ -31,7 +31,7 @@ WHOLE_RATIO = 1.5  # a horizon that is this close to the longest record's length
 LEVEL_PASSES = 3  # fits to a horizon, each with the error of the one before as its noise
 LEVEL_FALL = 0.98  # ratio of the error to the one before from which on these fits end
 START_STEPS = 2  # steps of the starts of stretches where no parameter is fitted
-GENERALISES = 1.2  # factor by which the rms error falls in records that took no part in a refit, for it to be kept
+GENERALISES = 1.2  # factor by which the squared error falls in records that took no part in a refit, for it to be kept
 
 
 @dataclass(frozen=True)
@@ -209,33 +209,37 @@ class Grown:
     fit: Fit | None
 
 
-def refit_growing(servo: Servo, values: Mapping[str, float], records: Records, segment: float) -> Grown:
-    """Refit parameters on growing horizons, longer than a segment [s], as far as the simulation stays with the records."""
+def refit_growing(servo: Servo, values: Mapping[str, float], records: Records, segment: float, most: float = math.inf) -> Grown:
+    """Refit parameters on horizons that grow from a segment to `most` [s], as far as the simulation stays with the records."""
     horizons = records.horizons(segment)
     grown = Grown(0.0, False, None)
     for seconds in horizons:
-        fit = refit_horizon(servo, values, records.stretches(seconds), records.least)
+        fit = refit_horizon(servo, values, records.stretches(seconds), records.least) if seconds <= most else None
         if fit is None:
             break
         grown, values = Grown(seconds, seconds == horizons[-1], fit), fit.values
     return grown
 
 
-def generalises(servo: Servo, values: Mapping[str, float], records: Records, segment: float) -> bool:
-    """True if a refit to one half of the records lowers the error in the other half, both ways.
+def general_horizon(servo: Servo, values: Mapping[str, float], records: Records, segment: float) -> float:
+    """Return the horizon [s] up to which refits to one half of the records lower the error in the other half, both ways.
 
-    Over a whole record random disturbances add up to a drift, which a refit follows as well as it can. Only what it gains where it
-    was not fitted is due to the model. Source: stone1974 (cross-validation).
+    It is infinite if they do so up to the longest one, 0 if they never do. In the long run random disturbances add up to a drift,
+    which a refit follows as well as it can; only what it gains where it was not fitted is due to the model, and that shows at
+    every horizon. Source: stone1974 (cross-validation).
     """
-    halves = records.halves()
-    for fitted, other in (halves, halves[::-1]):
-        grown = refit_growing(servo, values, fitted, segment)
-        if grown.fit is None:
-            return False
-        stretches = other.stretches(grown.seconds)
-        before, after = (
-            fitted_error(with_fitted_starts(servo, each, stretches, records.least)) for each in (values, grown.fit.values)
-        )
-        if not GENERALISES * after <= before or not math.isfinite(after):
-            return False
-    return True
+    halves, longest = records.halves(), 0.0
+    known = [values, values]
+    for lengths in zip(*(half.horizons(segment) for half in halves), strict=False):
+        for k, seconds in enumerate(lengths):
+            fit = refit_horizon(servo, known[k], halves[k].stretches(seconds), records.least)
+            if fit is None:
+                return longest
+            known[k], stretches = fit.values, halves[1 - k].stretches(seconds)
+            before, after = (
+                fitted_error(with_fitted_starts(servo, each, stretches, records.least)) for each in (values, fit.values)
+            )
+            if not (GENERALISES * after**2 <= before**2 and math.isfinite(after)):
+                return longest
+        longest = min(lengths)
+    return math.inf

@@ -14,7 +14,7 @@ from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.estimation.uncertainty import refitted_estimates
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.whole.open_loop import Grown, OpenLoop, Records, generalises, open_loop, open_loop_servo, refit_growing
+from bristle.diagnosis.whole.open_loop import Grown, OpenLoop, Records, general_horizon, open_loop, open_loop_servo, refit_growing
 
 NOT_REFITTED = Grown(0.0, False, None)
 
@@ -32,9 +32,9 @@ class _Long:
         """The values of the refit, if there is one."""
         return self.values if self.grown.fit is None else self.grown.fit.values
 
-    def refitted(self, records: Records, segment: float) -> _Long:
-        """Return the model refitted on growing horizons, where that lowers the error of whole records."""
-        new = replace(self, grown=refit_growing(self.servo, self.values, records, segment))
+    def refitted(self, records: Records, segment: float, most: float) -> _Long:
+        """Return the model refitted on horizons that grow to `most` [s], where that lowers the error of whole records."""
+        new = replace(self, grown=refit_growing(self.servo, self.values, records, segment, most))
         before, after = (open_loop(self.servo, values, records, records.seconds).error for values in (self.values, new.last))
         return new if after < before or (math.isfinite(after) and math.isnan(before)) else self
 
@@ -59,9 +59,10 @@ def refit_to_whole_records(case: Case, found: Conclusion, refit: bool = True) ->
     if found.final is not case.base:
         before = _Long(open_loop_servo(case.base.servo), _values(case.base.fit.values, found.base))
     same = before is after
-    if refit and generalises(after.servo, after.values, records, segment):
-        after = after.refitted(records, segment)
-        before = after if same else before.refitted(records, segment) if after.grown.fit is not None else before
+    most = general_horizon(after.servo, after.values, records, segment) if refit else 0.0
+    if most > 0:
+        after = after.refitted(records, segment, most)
+        before = after if same else before.refitted(records, segment, most) if after.grown.fit is not None else before
     parameters = after.estimates(case.model, found.parameters)
     effects = tuple(
         replace(e, parameters={key: parameters.get(f"{e.name}.{key}", old) for key, old in e.parameters.items()})

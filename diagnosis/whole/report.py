@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -21,15 +20,6 @@ VALIDATION_FILES = ("validation.json", "report.html")
 DRAWN_RECORDS = 12  # records that are drawn
 
 
-def origin(model: Path | None, data: Iterable[Path], command: str = "") -> dict[str, Any]:
-    """Return where a result comes from, for the key `provenance`: version, date, platform, hashes of the files, command."""
-    hashes = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in data}
-    found = provenance() | {"records_sha256": hashes}
-    if model is not None:
-        found |= {"model_sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
-    return found | ({"command": command} if command else {})
-
-
 def write_validation(validation: Validation, out: Path, made: Mapping[str, Any] | None = None) -> list[Path]:
     """Write validation.json and report.html into the folder `out`, in the place of older ones.
 
@@ -40,7 +30,7 @@ def write_validation(validation: Validation, out: Path, made: Mapping[str, Any] 
     out : Path
         The folder; created if it is missing.
     made : mapping, optional
-        The key `provenance`, as of `origin`.
+        The key `provenance`, as of `provenance_of`.
 
     Raises
     ------

@@ -1,6 +1,8 @@
 """The four measured data sets go through intake and plausibility; each test is skipped where its data are absent."""
 
 import importlib.util
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,11 @@ import pytest
 from bristle.diagnosis import Model, diagnose, records_from_arrays
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.plausibility import check
+from bristle.diagnosis.estimation.fitted_model import fit_with_noise
+from bristle.diagnosis.estimation.simulator import free_parameters
+from bristle.diagnosis.estimation.uncertainty import estimates, refitted_estimates
+from bristle.diagnosis.preparation import base_servo_of, dataset_of
+from bristle.diagnosis.whole.open_loop import Records, general_horizon, open_loop, open_loop_servo, refit_growing
 
 pytestmark = pytest.mark.slow
 _PATH = Path(__file__).parents[2] / "benchmarks" / "measured" / "measured_data.py"
@@ -124,3 +131,27 @@ def test_the_cogging_of_a_motor_is_named_as_long_as_nothing_makes_up_for_it(comp
 
 def test_the_offset_of_a_worn_axis_is_named(data):
     assert named(worn_axis(), data.emps()) == {"bias/asymmetric_coulomb"}
+
+
+def test_emps_over_the_whole_record(data):
+    """With an offset as the only effect: what its authors and others found over the whole record, by halves too."""
+    [entry] = data.emps()
+    model = worn_axis()
+    [record] = taken(model, [entry])
+    dataset = dataset_of(model, [record])
+    servo, values = base_servo_of(model, dataset)
+    start = {"torque": 1.0}
+    servo = replace(servo, effects=("bias",), free=(*servo.free, *free_parameters("bias", start, servo.limits)))
+    fitted = fit_with_noise(dataset, servo, values | {"bias.torque": 1.0})
+    own, plain, segment = Records.of(dataset, [record], dataset.segments.times), open_loop_servo(servo), dataset.segments.seconds
+    segments = open_loop(plain, fitted.fit.values, own, own.seconds).error
+    assert general_horizon(plain, fitted.fit.values, own, segment) == math.inf
+    grown = refit_growing(plain, fitted.fit.values, own, segment)
+    assert grown.whole
+    assert open_loop(plain, grown.fit.values, own, own.seconds).error < 2.7e-3 < 0.3 * segments
+    assert 180.0 < grown.fit.values["a2"] < 205.0  # 235 over segments
+    low, high = refitted_estimates(model, grown.fit, estimates(model, fitted.fit))["bias.torque"].ci95
+    assert low < 3.38 < high
+    for one, other in (own.halves(), own.halves()[::-1]):
+        half = refit_growing(plain, fitted.fit.values, one, segment)
+        assert open_loop(plain, half.fit.values, other, other.seconds).error < 4.5e-3

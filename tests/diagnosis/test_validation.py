@@ -12,8 +12,9 @@ import pytest
 
 import bristle
 from bristle.common.errors import BristleError
+from bristle.common.provenance import provenance_of
 from bristle.diagnosis import Model, Record, validate, validate_fmu
-from bristle.diagnosis.whole.report import VALIDATION_FILES, origin, render, write_validation
+from bristle.diagnosis.whole.report import VALIDATION_FILES, render, write_validation
 from bristle.fmus import obtain
 from bristle.fmus.isolate import isolated
 from bristle.model.native import Native
@@ -115,7 +116,7 @@ def test_the_files_hold_the_result(records, tmp_path):
     found = validate(model(), records)
     source = tmp_path / "a.csv"
     source.write_text("t,u,theta\n", encoding="utf-8")
-    written = write_validation(found, tmp_path / "out", origin(None, [source], "bristle validate"))
+    written = write_validation(found, tmp_path / "out", provenance_of(None, [source], "bristle validate"))
     assert [path.name for path in written] == list(VALIDATION_FILES)
     content = json.loads(written[0].read_text(encoding="utf-8"))
     assert set(content["records"][0]) == {"name", "unit", "rms", "fit_percent", "mse_percent", "horizons"}

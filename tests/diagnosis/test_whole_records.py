@@ -17,7 +17,7 @@ from bristle.diagnosis.preparation import fixed_values
 from bristle.diagnosis.whole.open_loop import (
     GROWTH,
     Records,
-    generalises,
+    general_horizon,
     open_loop,
     open_loop_servo,
     part,
@@ -140,10 +140,10 @@ def test_a_refit_ends_with_the_longest_horizon_that_held():
 def test_a_refit_is_kept_where_the_model_is_to_blame_for_the_drift_only():
     servo = open_loop_servo(SERVO)
     wrong = TRUE | {"a2": 0.024, "bias.torque": 0.012}
-    assert generalises(servo, wrong, records(record(1), record(2)), SEGMENT)
-    assert generalises(servo, wrong, records(record(1, 16.0)), SEGMENT)  # one record: one half predicts the other
+    assert general_horizon(servo, wrong, records(record(1), record(2)), SEGMENT) == math.inf
+    assert general_horizon(servo, wrong, records(record(1, 16.0)), SEGMENT) == math.inf  # one record: one half predicts the other
     noisy = records(record(1, load=0.01), record(2, load=0.01))
-    assert not generalises(servo, TRUE, noisy, SEGMENT)
+    assert general_horizon(servo, TRUE, noisy, SEGMENT) == 0.0
 
 
 def test_intervals_hold_at_both_ends():
