@@ -438,9 +438,11 @@ def _diagnosed(
 
 
 def _summary(found: Diagnosis, chosen: str | None = None) -> None:
-    """Print the answer in sentences, what to measure next, findings on the records, and the parameters of the effects."""
+    """Print the answer in one line and in sentences, what to measure next, findings, and the parameters of the effects."""
+    from bristle.diagnosis.report.headline import headline
     from bristle.diagnosis.report.text import effect_name, plain_texts
 
+    print(headline(found))
     text = "\n".join(found.statement)
     for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
         print(line)

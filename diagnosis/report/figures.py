@@ -97,12 +97,17 @@ def rms(square: float | None, output_unit: str) -> tuple[float, str]:
     return (math.nan if square is None or square < 0 else factor * math.sqrt(square)), unit
 
 
+def drawn_floor(diagnosis: Diagnosis) -> float | None:
+    """Return the noise floor [output squared], None where it is not known: what is unexplained is partly taken for noise."""
+    return None if diagnosis.remains.flag else diagnosis.gap.noise_floor
+
+
 def _gap(diagnosis: Diagnosis) -> Any:
     gap, output_unit = diagnosis.gap, diagnosis.model.output_unit
     first = "before" if improved(diagnosis) else "model as given" if as_given(diagnosis) else "refitted model"
     rows = [(first, gap.before, BEFORE)] + ([("after", gap.after, AFTER)] if improved(diagnosis) else [])
     values = [rms(square, output_unit)[0] for _, square, _ in rows]
-    floor, unit = rms(gap.noise_floor, output_unit)
+    floor, unit = rms(drawn_floor(diagnosis), output_unit)
     if not all(map(math.isfinite, values)) or max(values) <= 0:
         return None
     figure = new_figure(11.0, 0.95 + 0.42 * len(rows))
@@ -115,8 +120,7 @@ def _gap(diagnosis: Diagnosis) -> Any:
     if math.isfinite(floor):
         ax.axvspan(0, floor, color=INK, alpha=0.13, linewidth=0, zorder=3)
         ax.axvline(floor, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
-        most = "at most " if diagnosis.remains.flag else ""  # what is unexplained looks like noise
-        ax.text(floor, -0.52, f" noise floor {most}{floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
+        ax.text(floor, -0.52, f" noise floor {floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
     ax.set_xlim(0, right)
     ax.set_ylim(len(rows) - 0.55, -0.95)
     ax.set_yticks([])
@@ -312,7 +316,7 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     """Return title and caption of each figure."""
     both, torque = improved(diagnosis), diagnosis.model.wording.torque
     floor = " Grey band: the noise floor, what disturbance and sensor noise alone account for."
-    band = floor if diagnosis.gap.noise_floor is not None else ""
+    band = floor if drawn_floor(diagnosis) is not None else ""
     before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
     colours = ", before (orange) and after (blue)" if both else ""
     segments = "held-out segments, which took no part in the search"

@@ -13,6 +13,7 @@ from bristle.common.html import badge, figure, number, page, table, unit
 from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P
 from bristle.diagnosis.localisation.unexplained import CERTAIN_P
 from bristle.diagnosis.report.figures import as_given, captions, improved
+from bristle.diagnosis.report.headline import headline, mark
 from bristle.diagnosis.report.open_loop import whole_table
 from bristle.diagnosis.report.result import Candidate, Diagnosis, Estimate, Named
 from bristle.diagnosis.report.text import (
@@ -29,8 +30,6 @@ from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.wording import Wording
 
-BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
-VERDICTS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
 EXCITATION = {  # key of the excitation -> words; the others read as they are
     "input_range": "input", "input_between_samples": "input between samples",
     "speed_dominant_tone_share": "share of the strongest tone in the speed",
@@ -39,24 +38,6 @@ EXCITATION = {  # key of the excitation -> words; the others read as they are
     "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",
     "backward_share": "time backward", "torque_range": "torque of the drive",
 }  # fmt: skip
-
-
-def headline(diagnosis: Diagnosis) -> str:
-    """Return the verdict as a heading."""
-    if diagnosis.proposals:
-        return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
-    wording = diagnosis.model.wording
-    if diagnosis.verdict == "named":
-        ties = {name: tie for tie in diagnosis.ties for name in tie}
-        lacking = [effects_listed(ties.get(each.name, (each.name,)), "or", wording) for each in diagnosis.effects]
-        return f"The model lacks: {listed(lacking, 'and')}"
-    if diagnosis.verdict == "tie":
-        sets = "; ".join(effects_listed(tie, "or", wording) for tie in diagnosis.ties)
-        return f"The model lacks one of: {sets}; the records fit each equally well"
-    if diagnosis.verdict == "none":
-        unknown = "Something is missing, and no effect of the catalogue explains it"
-        return unknown if diagnosis.remains.flag else "No effect is missing"
-    return "These records cannot identify what is missing"
 
 
 def interval(value: float, low: float, high: float) -> str:
@@ -92,14 +73,15 @@ class _Writer:
     def effects(self, effects: Iterable[Named]) -> str:
         """Return the table of named effects, a line for each parameter."""
         rows = []
-        for effect in effects:
+        for k, effect in enumerate(effects):
             known = self.known[effect.name]
             meaning = "" if known.description == known.title else f'<div class="sub">{escape(known.description)}</div>'
-            facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
+            unit_said = f"nats ({NATS})" if k == 0 else "nats"
+            facts = f"gain {number(effect.gain, 3)} {unit_said}, p ≤ {number(effect.p, 2)}"
             first = f'{self.name(effect.name)}{meaning}<div class="sub">{facts}</div>'
             rows += self.parameters(effect.name, first, effect.parameters)
         text = table(("effect", "parameter", "value, 95 % interval", "unit"), rows) if rows else ""
-        return text + (f'<p class="sub">Nats: {NATS}; p: probability of as much by chance.</p>' if rows else "")
+        return text + ('<p class="sub">p: probability of as much by chance.</p>' if rows else "")
 
     def parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
         meanings = {p.name: p.description for p in self.known[name].parameters}
@@ -279,14 +261,11 @@ def render(
     drawn = {name: figure(words[name][0], text, words[name][1]) for name, text in figures.items()}
     lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in diagnosis.statement)
     alarms = _proposals(diagnosis) + "".join(f'<p class="alarm">{escape(note)}</p>' for note in notes)
-    title = headline(diagnosis)
-    mark = badge(BADGES[diagnosis.verdict], VERDICTS[diagnosis.verdict])
-    if diagnosis.proposals:
-        mark = badge("bad", "data" if as_given(diagnosis) else "bounds")
     following = _section("What to measure next", f"<p>{escape(diagnosis.experiment)}</p>" if diagnosis.experiment else "")
     settled = diagnosis.verdict in ("named", "none")  # else what to measure next is the answer
     parts = [
-        f'<header><p class="name">diagnosis of {escape(_records(diagnosis))}</p><h1>{escape(title)} {mark}</h1>{lead}'
+        f'<header><p class="name">diagnosis of {escape(_records(diagnosis))}</p>'
+        f"<h1>{escape(headline(diagnosis))} {badge(*mark(diagnosis))}</h1>{lead}"
         f'<p class="sub">the diagnosis took {diagnosis.seconds:.0f} s</p></header>{alarms}',
         _section("What is missing", writer.effects(diagnosis.effects)),
         _section("What fits equally well", _tie(diagnosis, writer, choose)),

@@ -63,6 +63,12 @@ def effect_name(name: str, wording: Wording = ROTARY) -> str:
     return f"{known[name].title} ({name})" if name in known else name
 
 
+def titles_listed(names: Sequence[str], word: str, wording: Wording = ROTARY) -> str:
+    """Return effects in words alone, as "a, b and c"; a name that is no effect stays as it is."""
+    known = all_effects(wording)
+    return listed([known[name].title if name in known else name for name in names], word)
+
+
 def listed(names: Sequence[str], word: str) -> str:
     """Return "a, b and c"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}" if names else "nothing"

@@ -67,7 +67,8 @@ def test_it_prints_the_result_and_the_path_of_the_report(call: Call, asked: dict
     assert (code, error) == (0, "")
     assert asked["arguments"] == ("model of m.toml", ["model of m.toml", "a.csv", "b.csv"])
     lines = said.splitlines()
-    assert lines[0].startswith("Cogging explains the difference")
+    assert lines[0] == "The model lacks: cogging torque"
+    assert lines[1].startswith("Cogging explains the difference")
     row = next(line for line in lines if "amplitude " in line)
     assert row.split() == ["cogging", "amplitude", "0.0600", "0.0582", "...", "0.0618", "N.m"]
     made = asked["made"].CASES["named"]()

@@ -13,7 +13,7 @@ import pytest
 import bristle
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report import export
-from bristle.diagnosis.report.html import VERDICTS
+from bristle.diagnosis.report.headline import VERDICTS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")

@@ -15,10 +15,11 @@ import pytest
 from bristle.common.drawing import RED
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
-from bristle.diagnosis.report.figures import draw, view_axis, worst_part
+from bristle.diagnosis.report.figures import captions, draw, view_axis, worst_part
+from bristle.diagnosis.report.headline import headline, mark
 from bristle.diagnosis.report.html import interval, render
 from bristle.diagnosis.report.result import Estimate, Gap, Named, Trace
-from bristle.diagnosis.report.text import Facts, experiment, reported_parameters, statement, undetected, value, view_name
+from bristle.diagnosis.report.text import NATS, Facts, experiment, reported_parameters, statement, undetected, value, view_name
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
@@ -86,7 +87,7 @@ def test_json_is_complete_and_holds_no_nan(answer, case):
 
 def test_a_named_effect_comes_with_its_parameters_and_the_shrink(answer):
     text = text_of(page_of(answer("named")))
-    assert "The model lacks: cogging torque (cogging)" in text
+    assert "The model lacks: cogging torque named" in text
     assert "amplitude amplitude of the first term 0.0600 ± 0.0018 N·m" in text
     assert "shrank by 99.8 %" in text
     assert "coulomb.Fc N·m 0.1 0.1270 ± 0.0038 0.12000 ± 0.00084" in text
@@ -118,8 +119,34 @@ def test_a_floor_that_is_not_known_is_neither_said_nor_drawn(answer):
     [line] = statement(Facts("none", unknown.gap, unknown.remains))[1:2]
     assert line.endswith("disturbance and sensor noise alone account for less; how much less is not known.")
     assert not any("floor" in text for text in svg_texts(draw(unknown)["gap"]))
-    assert "noise floor at most 0.0181 deg" in [text.strip() for text in svg_texts(draw(none)["gap"])]
+    quiet = replace(none, remains=Unexplained(False, None, 0.0))
+    assert "noise floor 0.0181 deg" in [text.strip() for text in svg_texts(draw(quiet)["gap"])]
     assert "The noise floor, which disturbance and sensor noise alone would leave, is not known." in text_of(page_of(unknown))
+
+
+@pytest.mark.parametrize("case", ["named", "tie", "none", "not_identifiable"])
+def test_where_much_is_unexplained_the_heading_says_so_and_is_amber(answer, case):
+    diagnosis = replace(answer(case), remains=Unexplained(True, "v", 0.6))
+    assert headline(diagnosis).startswith("Best of what I know, not enough: ")
+    assert mark(diagnosis)[0] == "open"
+    assert 'class="badge open"' in page_of(diagnosis)
+    assert not any("floor" in text for text in svg_texts(draw(diagnosis)["gap"]))
+    assert "Grey band" not in captions(diagnosis)["gap"][1]
+    quiet = replace(diagnosis, remains=Unexplained(False, None, 0.0))
+    assert "not enough" not in headline(quiet)
+    assert (mark(quiet)[0] == "good") == (case == "named")
+
+
+@pytest.mark.parametrize("case", ["named", "tie", "none"])
+def test_the_heading_has_words_and_no_identifiers(answer, case):
+    assert not re.search(r"\(|_", headline(answer(case)))
+
+
+@pytest.mark.parametrize("case", ["named", "tie", "none"])
+def test_nats_are_explained_where_they_first_stand(answer, case):
+    diagnosis = answer(case)
+    text = text_of(render(diagnosis, draw(diagnosis), {}))
+    assert text.index("nats") == text.index(f"nats ({NATS})")
 
 
 def test_what_remains_is_what_the_table_above_it_says(answer):
@@ -168,7 +195,7 @@ def test_a_record_may_have_any_name(answer, recwarn):
 
 def test_a_name_that_stands_for_its_class_says_so(answer):
     named = replace(answer("named"), ties=(("cogging", "gravity"),))
-    assert "The model lacks: cogging torque (cogging) or gravity on an unbalanced mass (gravity)" in text_of(page_of(named))
+    assert "The model lacks: cogging torque or gravity on an unbalanced mass named" in text_of(page_of(named))
     lines = statement(Facts("named", named.gap, named.remains, named.effects, named.ties))
     assert lines[1].endswith("from gravity on an unbalanced mass (gravity), which fits equally well.")
 

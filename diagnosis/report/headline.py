@@ -1,0 +1,42 @@
+"""The answer of a diagnosis in one line, in words, and its colour."""
+
+from __future__ import annotations
+
+from bristle.diagnosis.report.figures import as_given
+from bristle.diagnosis.report.result import Diagnosis
+from bristle.diagnosis.report.text import listed, titles_listed
+
+BADGES = {"named": "good", "tie": "open", "none": "calm", "not_identifiable": "open"}
+VERDICTS = {"named": "named", "tie": "tie", "none": "none named", "not_identifiable": "not identifiable"}
+NOT_ENOUGH = "Best of what I know, not enough"
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict as a heading; where much of the residual is unexplained, it begins with that."""
+    if diagnosis.proposals:
+        return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
+    if not diagnosis.remains.flag:
+        return _found(diagnosis)
+    if diagnosis.verdict == "none":
+        return f"{NOT_ENOUGH}: something is missing, and no effect of the catalogue explains it"
+    found = _found(diagnosis)
+    return f"{NOT_ENOUGH}: {found[0].lower()}{found[1:]}"
+
+
+def mark(diagnosis: Diagnosis) -> tuple[str, str]:
+    """Return kind and text of the badge beside it: good only where effects are named and nothing much is unexplained."""
+    if diagnosis.proposals:
+        return "bad", "data" if as_given(diagnosis) else "bounds"
+    return "open" if diagnosis.remains.flag else BADGES[diagnosis.verdict], VERDICTS[diagnosis.verdict]
+
+
+def _found(diagnosis: Diagnosis) -> str:
+    wording = diagnosis.model.wording
+    if diagnosis.verdict == "named":
+        ties = {name: tie for tie in diagnosis.ties for name in tie}
+        lacking = [titles_listed(ties.get(each.name, (each.name,)), "or", wording) for each in diagnosis.effects]
+        return f"The model lacks: {listed(lacking, 'and')}"
+    if diagnosis.verdict == "tie":
+        sets = "; ".join(titles_listed(tie, "or", wording) for tie in diagnosis.ties)
+        return f"The model lacks one of: {sets}; the records fit each equally well"
+    return "No effect is missing" if diagnosis.verdict == "none" else "These records cannot identify what is missing"
