@@ -62,6 +62,16 @@ def test_the_right_model_has_no_error_on_any_horizon(records):
         assert r.horizons[-1][1] == r.rms
 
 
+def test_velocities_are_compared_as_they_are(records):
+    moved = record(1)
+    program = servo_program("coulomb", encoder=False, effects=("bias",))
+    v = Native(program, model().settings()).run(H, {"u": moved.u}, ["v"])[0][:-1, 0]
+    fast = Model.from_dict(TREE | {"output": {"column": "v", "kind": "velocity", "unit": "rad/s"}})
+    [found] = validate(fast, [Record("run", moved.time, H, moved.u, v, resolution=1e-6)]).records
+    assert found.unit == "rad/s"
+    assert found.fit_percent > 99.5
+
+
 def test_the_errors_of_a_wrong_model_are_those_of_its_simulation(records):
     """The run of the plain servo from the true start is the reference; the fit of the start may only improve on it."""
     wrong = model(Fc=0.1)
