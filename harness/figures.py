@@ -183,6 +183,8 @@ def _limits(ax: Any, course: Course, true: Array | None) -> None:
     else:
         size, least, most = float(np.max(np.abs(true))) or spread or high - low or 1.0, float(true.min()), float(true.max())
         low, high = max(min(low, least), least - EXCURSION * size), min(max(high, most), most + EXCURSION * size)
+        if valid[-1]:  # what counts is shown, however far off it is
+            low, high = min(low, float(course.hat[-1])), max(high, float(course.hat[-1]))
     margin = max(0.08 * (high - low), 0.08 * size, min(spread, EXCURSION * size))
     ax.set_ylim(low - margin, high + margin)
 

@@ -144,8 +144,12 @@ def delayed(values: Array) -> Array:
     return np.concatenate([values[:1], values[:-1]])
 
 
-def true_values(trace: Trace, load: Array | None = None) -> dict[str, Array]:
-    """Return the plant's true normalised parameters at each row, those that its law has, scaled by the normal load."""
+def true_values(trace: Trace, normal: Array | float = 1.0, load: Array | float = 0.0) -> dict[str, Array]:
+    """Return the plant's true normalised parameters at each row, those that its law has.
+
+    `normal`: normal load over nominal, which scales friction; `load`: torque over inertia that acts from outside, which adds to
+    the plant's own.
+    """
     out = {}
     found = trace.flags[-1][1]
     for (unit, name), value in found.items():
@@ -154,8 +158,8 @@ def true_values(trace: Trace, load: Array | None = None) -> dict[str, Array]:
         if not found.get((unit, f"{name}_valid"), 0.0) or not math.isfinite(value):
             continue
         short = name.removeprefix("true.")
-        scale = load if load is not None and short in LOAD_PROPORTIONAL else np.ones(len(trace.values))
-        out[short] = value * scale
+        scale = normal if short in LOAD_PROPORTIONAL else 1.0
+        out[short] = value * scale + (load if short == "load" else 0.0) + np.zeros(len(trace.values))
     return out
 
 
@@ -168,15 +172,16 @@ def estimated_parameters(record: Sequence[Port], flags: Mapping[Port, float]) ->
 def courses(trace: Trace, units: Mapping[str, str]) -> dict[str, Course]:
     """Return what the observer published of every parameter that it estimates.
 
-    It estimates what it ever called valid, or published as another number than 0.
+    It estimates what it ever called valid, or published as another number than 0, or with a standard deviation.
     """
     said, found = ("observer", "adapted"), {}
     flags = trace.flags[-1][1]
     adapted = bool(flags[said]) if said in flags else None
     for name in estimated_parameters(trace.record, flags):
         hat, valid = trace[("observer", f"{name}_hat")], trace.flag(("observer", f"{name}_valid"))
-        if valid.any() or np.nan_to_num(hat).any():
-            found[name] = Course(hat, valid, trace.get(("observer", f"{name}_sd")), adapted, units.get(name, "1"))
+        sd = trace.get(("observer", f"{name}_sd"))
+        if valid.any() or np.nan_to_num(hat).any() or (sd is not None and np.nan_to_num(sd).any()):
+            found[name] = Course(hat, valid, sd, adapted, units.get(name, "1"))
     return found
 
 

@@ -32,7 +32,10 @@ UNITS_OF_RIGS = {"V": ("A", "N.m", "N"), "rad": ("m",), "rad/s": ("m/s",), "N.m"
 NEEDED_PORTS = {"plant": ("u", "theta", "v"), "controller": ("y_v", "u"), "observer": ("u",)}
 FREE_INPUTS = {"plant": ("u", "tau_load", "load_scale"), "controller": ("u_ff", "reference_scale")}  # which a stimulus may drive
 SENSOR_OUTPUTS = {"clean": ("theta", "v"), "encoder": ("theta_enc", "v_enc")}  # plant outputs: position, velocity
-WHOLE_PARAMETERS = {"controller": ("seed", "order"), "plant": ("input_noise.seed",)}  # Real parameters that only take whole values
+WHOLE_PARAMETERS = {  # Real parameters that only take whole values
+    "controller": ("seed", "order"),
+    "plant": ("input_noise.seed", "encoder.counts"),
+}
 SELECTOR_PARAMETERS = {"plant": "law", "observer": "method"}  # parameter that chooses among several
 
 

@@ -228,17 +228,28 @@ class View:
             self.sensed = {key: trace["plant", port] for key, port in zip(("theta", "v"), setup.sensor, strict=True)}
         self.observed = {name: trace[unit, name] for unit, name in trace.record if unit == "observer"}
         self.estimated = {name: self.observed[f"{name}_hat"] for name in ("v", "F") if metrics.estimates_state(trace, name)}
-        self.true = metrics.true_values(trace, self.signals.get("load_scale")) if setup.samples is None else {}
+        self.true = {} if setup.samples is not None else self._true(setup)
         self.units = {name.removesuffix("_hat"): rig.unit(unit) for name, unit in units.items()}
         self.published = metrics.courses(trace, self.units)
         self.friction = self._friction(setup)
 
+    def _true(self, setup: Setup) -> dict[str, Array]:
+        """Return the true parameters under the loads that act on the plant."""
+        torque, inertia = self.signals.get("tau_load"), self._inertia(setup)
+        load = 0.0 if torque is None or inertia is None else torque / inertia
+        return metrics.true_values(self.trace, self.signals.get("load_scale", 1.0), load)
+
+    @staticmethod
+    def _inertia(setup: Setup) -> float | None:
+        """Return J of the plant, where it says what it is."""
+        if setup.samples is not None or not setup.fmus["plant"].has("J", "parameter"):
+            return None
+        return float(setup.values["plant"].get("J", setup.fmus["plant"].start("J")))
+
     def _friction(self, setup: Setup) -> Array | None:
         """Return F/J of the plant, where the plant has both."""
-        if setup.samples is not None or "F" not in self.signals or not setup.fmus["plant"].has("J", "parameter"):
-            return None
-        inertia = float(setup.values["plant"].get("J", setup.fmus["plant"].start("J")))
-        return self.signals["F"] / inertia
+        inertia = self._inertia(setup)
+        return self.signals["F"] / inertia if inertia is not None and "F" in self.signals else None
 
     def states(self) -> dict[str, Array]:
         """Return the true states that an observer may estimate."""
@@ -350,7 +361,8 @@ def _files(setup: Setup, found: Outcome, clock: _Clock, full: bool) -> dict[str,
     begin = time.perf_counter()
     result, view = found.result, found.view
     figures = draw(_pictures(found))
-    columns = {"time": view.time, **view.signals, **view.observed}
+    counts = {f"{name}_valid": course.valid for name, course in view.published.items()}
+    columns = {"time": view.time, **view.signals, **view.observed, **counts}
     csv = results.to_csv(columns, full)
     scenario = setup.scenario
     about = {"title": scenario.title, "shows": scenario.shows, "source": scenario.source, "limits": scenario.limits}

@@ -224,6 +224,8 @@ class Scenario(Section):
             raise ValueError("give either [plant] or [record], not both")
         if self.record and (self.stimuli or self.validation or "controller" in self.model_fields_set):
             raise ValueError("[record] replaces plant and controller; remove [controller], [[stimuli]] and [validation]")
+        if self.record and {"sensor", "controller_sensor"} & self.model_fields_set:
+            raise ValueError("[record] is what a sensor showed; remove sensor and controller_sensor")
         if self.open_loop and (self.validation or "controller" in self.model_fields_set):
             raise ValueError("a stimulus of u replaces the controller; remove [controller] and [validation]")
         if self.plant and self.duration is None:

@@ -181,8 +181,18 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         },
         estimates=_estimates(p),
         **worth(p),
+        adapted=narrowed(p),
         innovation=p.doubt / CONTRADICTION_SHARE,
     )  # fmt: skip
+
+
+def narrowed(p: Namespace) -> SX:
+    """Return whether the region is smaller than at the start, or the estimate has left the middle of it."""
+    changed = SX(0)
+    for i, whole in enumerate(widest(p)):
+        for name, start in (("least", whole.lo), ("most", whole.hi), ("theta", whole.middle)):
+            changed = ca.logic_or(changed, p[f"{name}{i}"] != start)
+    return changed
 
 
 def worth(p: Namespace) -> dict[str, Any]:

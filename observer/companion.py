@@ -32,8 +32,8 @@ from typing import Any
 import casadi as ca
 
 from bristle.model.variables import Namespace, State
-from bristle.observer import consistency, information
-from bristle.observer.method import stack, unstack, vector_states
+from bristle.observer import consistency, excitation, information
+from bristle.observer.method import LARGEST_SD, stack, unstack, vector_states
 
 SX = ca.SX
 LEAST_DISTINCT = 1e-6  # share of a column that the others must leave unexplained, else its estimate is not known at all
@@ -42,9 +42,24 @@ LEAST_EXCESS = 1e-3  # of the squared movement over the variance lost: errors of
 BLOCKS_OF_CLAIM = 0.05  # blocks that the claimed variance counts for at the start
 LATE_TIME = 20.0  # s, over which the innovations of late are averaged
 LARGEST_SQUARE = 1e6  # most that one squared innovation counts over the variance of the sensor
+SURE_BY = 2.0  # standard deviations of a sum of squares beyond which there is more than the sensor's noise
+ALONG_SHARE = 0.5  # of what is missed, how much of it lies along a regressor: one standard deviation
+LARGEST_WALK = 1e60  # most that the variance of a random walk counts over what a sample says
 LEAST_KEPT = 1e-100  # keeps a division defined where nothing is kept
 LEAST_NOISE = 1e-300  # keeps a division defined where the sensor has none
-LARGEST_SD = 1e9  # published, where nothing is known
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Whether the servo `moves`, and what may change unseen while it does not.
+
+    `name`: that quantity of the companion; `column`: the entry that changes with it, by `rate` (variance over time).
+    """
+
+    moves: SX
+    name: str
+    column: int
+    rate: SX
 
 
 @dataclass(frozen=True)
@@ -52,7 +67,7 @@ class Row:
     """A sample of z = h' theta + x' eta + e, and whether it counts.
 
     `noise`: variance of e by the sensor alone; `alike`: how many samples in a row share an error (of a filter with corner a:
-    2 / (a Ts)).
+    2 / (a Ts)); `rest`: where it is given, nothing counts and nothing is forgotten in rest.
     """
 
     z: SX
@@ -61,6 +76,7 @@ class Row:
     counts: SX
     noise: SX
     alike: SX
+    rest: Rest | None = None
 
 
 @dataclass(frozen=True)
@@ -116,8 +132,10 @@ class Companion:
             State(f"{pre}counted", "s", "time that has counted"),
             State(f"{pre}residual", "1", "variance of the residual that independent samples would have"),
             State(f"{pre}left", "1", "sum of squares left unexplained"),
+            State(f"{pre}missed", "1", "what of it the sensor does not explain either"),
             State(f"{pre}adapted", "1", "1 when more independent samples have counted than there are columns"),
             State(f"{pre}late", "1", "mean squared residual of late over what the sensor explains"),
+            excitation.rest_state(f"{pre}rest"),
             *consistency.states(self.count, pre),
         )
 
@@ -129,13 +147,17 @@ class Companion:
         pre, n = self.prefix, self.fitted
         line = ca.vertcat(row.h, row.x, row.z)
         before, rows = information.read(p, self.entries + 1, f"{pre}information"), p[f"{pre}rows"]
-        r = ca.if_else(row.counts, kept * before + line @ line.T, before)
-        rows = ca.if_else(row.counts, kept * rows + 1, rows)
+        since, rests = excitation.rest(p[f"{pre}rest"], row.rest.moves if row.rest else SX(1), period)
+        counts = ca.logic_and(row.counts, ca.logic_not(rests))
+        r = ca.if_else(counts, kept * before + line @ line.T, before)
+        r = ca.if_else(rests, self._drifted(p, r, row.rest, period), r) if row.rest else r
+        rows = ca.if_else(counts, kept * rows + 1, rows)
         view = look(r) if look else None
         seen, looked = view.of(r, line) if view else (r, line)
         factors = information.Factors(seen + RIDGE_SHARE * ca.diag(ca.diag(seen)))
         everything, unit = factors.regression(), factors.inverse_diagonal(self.columns)[:n]
-        distinct = unit * ca.diag(seen)[:n] * LEAST_DISTINCT < 1  # 1 over their product is the share that the others do not explain
+        own = ca.diag(seen)[:n]  # 1 over its product with `unit` is the share that the others do not explain
+        distinct = ca.logic_and(unit * own * LEAST_DISTINCT < 1, own > information.ZERO_ENTRY)
         found, narrow = everything[:n], factors.regression(n)
         if view:
             found, narrow = found + view.origin[:n], narrow + view.origin[:n]
@@ -149,9 +171,9 @@ class Companion:
         adapted = free > 0
         left, unit = ca.fabs(factors.d[-1]), ca.fabs(unit)  # rounding may have cost them their sign
         residual = left / ca.fmax(free, 1)
-        lost = ca.if_else(row.counts, ca.fmax(stack(p, f"{pre}unit", self.count) / ca.fmax(kept, LEAST_KEPT) - unit, 0), 0)
+        lost = ca.if_else(counts, ca.fmax(stack(p, f"{pre}unit", self.count) / ca.fmax(kept, LEAST_KEPT) - unit, 0), 0)
         fit = ca.if_else(adapted, found, 0)
-        time, age = ca.if_else(row.counts, period, 0), p[f"{pre}counted"]
+        time, age = ca.if_else(counts, period, 0), p[f"{pre}counted"]
         square = ca.fmin((looked[-1] - ca.dot(looked[:-1], everything)) ** 2 / ca.fmax(row.noise, LEAST_NOISE), LARGEST_SQUARE)
         late = p[f"{pre}late"]
         share = time / ca.fmin(age + period, LATE_TIME)
@@ -165,10 +187,24 @@ class Companion:
             f"{pre}counted": age + time,
             f"{pre}residual": residual,
             f"{pre}left": left,
+            f"{pre}missed": ca.fmax(left - row.noise * (rows + SURE_BY * ca.sqrt(2 * rows * row.alike)), 0),
             f"{pre}adapted": adapted,
             f"{pre}late": late + share * (square - late),
+            f"{pre}rest": since,
             **consistency.blocks(p, fit, residual * lost, (age, time, p[f"{pre}adapted"] > 0), BLOCKS_OF_CLAIM, pre),
         }
+
+    def _drifted(self, p: Namespace, matrix: SX, rest: Rest, period: SX) -> SX:
+        """Return the information after a time in which one entry has done a random walk of the variance `rest.rate` over time.
+
+        The quadratic form least over the change of that entry: R - R e e' R / (1 / q + e' R e).
+        Source: jazwinski1970 chapter 7 (process noise), in information form.
+        """
+        excess = consistency.inflation(p, self.count, self.prefix, LEAST_EXCESS)[self.names.index(rest.name)] ** 2
+        claimed = excess * p[f"{self.prefix}residual"]  # variance for unit information
+        walk = ca.fmin(rest.rate * period / ca.fmax(claimed, LEAST_NOISE), LARGEST_WALK)
+        column = matrix[:, rest.column]
+        return SX(matrix - walk * column @ column.T / (1 + walk * column[rest.column]))
 
     def fit(self, p: Namespace) -> dict[str, SX]:
         """Return the least squares beside the further columns; 0 before there are enough samples."""
@@ -188,7 +224,7 @@ class Companion:
         own = ca.if_else(stack(p, f"{self.prefix}distinct", self.count) > 0, own, LARGEST_SD**2)
         fit = self.fit(p)
         square = {name: own[self.names.index(name)] + (x - fit[name]) ** 2 for name, x in estimates.items()}
-        return {name: ca.fmin(ca.sqrt(each), LARGEST_SD) for name, each in square.items()}
+        return {name: ca.sqrt(each) for name, each in square.items()}
 
     def dilution(self, p: Namespace, name: str, size: SX) -> SX:
         """Return by what share of its size noise in the regressor of an entry may have made it too small, at most.
@@ -198,6 +234,16 @@ class Companion:
         """
         unit = p[f"{self.prefix}unit{self.names.index(name)}"]
         return SX(ca.fmin(p[f"{self.prefix}left"] * unit / (size**2 + LEAST_NOISE), LARGEST_SD))
+
+    def misfit(self, p: Namespace, name: str) -> SX:
+        """Return the standard deviation of an entry by what the model misses.
+
+        What is left beyond the sensor's noise need not be noise: a saturation, say, is a function of the regressors, and part of it
+        lies along them, where it is not seen and does not average out. Were all of it along one, it would move the estimate by
+        the root of (sum of squares times inverse information).
+        Source: ljung1999 section 8.5 (bias by a model set without the true one), 16.6 (residuals against the noise).
+        """
+        return SX(ALONG_SHARE * ca.sqrt(p[f"{self.prefix}missed"] * p[f"{self.prefix}unit{self.names.index(name)}"]))
 
     def mean_square(self, p: Namespace, entry: int) -> SX:
         """Return the mean square of a column of the samples."""

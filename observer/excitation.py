@@ -16,6 +16,7 @@ from bristle.model.variables import Namespace, State
 SX = ca.SX
 CLEAR_SHARE = 0.1  # of the rms speed, above which the direction of motion counts
 FRESH_TIME = 1.0  # s after a reversal in which time counts
+LOAD_DRIFT = 1e-3  # 1/s, variance over Fc^2 by which a load torque may drift while the servo rests, when nothing shows it
 COUNTS_OF_NOISE = 2.0  # steps of the sensor within the filter's time constant, below which a speed is noise
 
 
@@ -69,3 +70,17 @@ def follow(p: Namespace, speed: SX, period: SX, noise: SX) -> Excitation:
         "reversals": p.reversals + ca.if_else(reverses, 1, 0),
     }
     return Excitation(ca.if_else(counts, period, 0), reverses, rms_speed(p), states)
+
+
+def rest(before: SX, moves: SX, period: SX) -> tuple[SX, SX]:
+    """Return (time since motion was last seen, whether the servo rests) after a sample.
+
+    In rest nothing is learnt or forgotten, and what acts from outside may change unseen. A record begins in rest.
+    """
+    since = ca.if_else(moves, 0, ca.fmin(before + period, FRESH_TIME))
+    return since, since >= FRESH_TIME
+
+
+def rest_state(name: str = "rest") -> State:
+    """Declare the time since motion was last seen."""
+    return State(name, "s", "time since motion was last seen, up to that from which the servo rests", initial=FRESH_TIME)

@@ -77,7 +77,7 @@ def observe(p: Namespace, s: Sample, kept: SX) -> tuple[Row, dict[str, SX]]:
     after = before + gain * (raw - before)
     counts = fast(s, vc)
     noise = (p.noise * gain / h) ** 2 * (1 + gain / (2 - gain))
-    sample = Row(after[0], after[1:6], after[6], counts, noise, 2 / (p.cutoff * h))
+    sample = Row(after[0], after[1:6], after[6], counts, noise, 2 / (p.cutoff * h), step1.rest(p, ca.fabs(s.y1) > NOISES * p.noise))
     shared = {
         **unstack("filtered", ca.if_else(counts, after, 0)),
         "input_before": s.u,

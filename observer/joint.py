@@ -105,7 +105,7 @@ def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) ->
     spread = factors @ covariance[MOTION_STATES:, MOTION_STATES:] @ factors
     entries = z[MOTION_STATES:]
     estimates = f.estimates(entries)
-    sd = {name: ca.fmin(each, swapping.LARGEST_ENTRY) for name, each in kalman.deviations(f.estimates, entries, spread).items()}
+    sd = kalman.deviations(f.estimates, entries, spread)
     sound = ca.logic_and(p.age > JUDGED_FROM, p.innovation_sensor < p.innovation_limit)
     if f.companion:
         judged = swapping.worth(p, step2.COMPANION, {n: x for n, x in estimates.items() if n != "tau"}, step2.from_position(p, s))

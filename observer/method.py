@@ -38,6 +38,7 @@ SIGNALS = {
 }
 CONVERGENCE_TIME = 1.0  # s, over which the convergence measure averages
 LONGEST_DELAY = 8  # samples
+LARGEST_SD = 1e9  # what is published of a standard deviation at most: nothing is known
 LARGEST_INPUT = 1e9  # V, rad or rad/s; what is larger counts as this, so that no square overflows
 DELAY = Parameter(
     "delay", "d", "1", 0.0, 0.0, float(LONGEST_DELAY), "known delay of the measurement behind the input, in samples",
@@ -224,13 +225,16 @@ def _publish(system: System, method: Method, update: Update, started: SX, period
 
     for name, (unit, description) in SIGNALS.items():
         system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), update.signals.get(name, SX(0)))
-        flag(f"{name}_hat_valid", f"the method estimates {name}_hat", SX(float(name in update.signals)))
+        flag(f"{name}_hat_valid", f"the method estimates {name}; how well is not said", SX(float(name in update.signals)))
     for name, (unit, description) in OBSERVED.items():
         known = name in update.estimates
         system.output(Variable(f"{name}_hat", unit, f"estimate of {description}"), update.estimates.get(name, SX(0)))
-        flag(f"{name}_valid", f"{name}_hat is an estimate that counts", update.valid.get(name, SX(float(known))))
+        valid = update.valid.get(name, SX(float(known)))
+        if name in update.sd:
+            valid = ca.logic_and(valid, update.sd[name] > 0)  # nothing is known exactly
+        flag(f"{name}_valid", f"{name}_hat is an estimate that counts", valid)
         spread = Variable(f"{name}_sd", unit, f"standard deviation of {name}_hat; 0: the method gives none")
-        system.output(spread, update.sd.get(name, SX(0)))
+        system.output(spread, ca.fmin(update.sd.get(name, SX(0)), LARGEST_SD))
     flag("adapted", "the estimates have been adapted since the start", update.adapted)
     ratio = Variable("innovation", "1", "recent mean squared innovation relative to the value expected; 0: the method gives none")
     system.output(ratio, update.innovation)

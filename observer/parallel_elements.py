@@ -12,8 +12,8 @@ import casadi as ca
 
 from bristle.model.basis import BASIS_COUNT, gaussian, width_parameter
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import filtered, step1, swapping
-from bristle.observer.companion import LARGEST_SD, Companion, Row, View
+from bristle.observer import excitation, filtered, step1, swapping
+from bristle.observer.companion import Companion, Rest, Row, View
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 from bristle.observer.swapping import LEAST_DRIVE, SETTLED_AFTER
 
@@ -84,7 +84,10 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     row_new = twice + gain * (once_new - twice)
     h = ca.vertcat(row_new[1:3], row_new[BESIDE:-1], 1, row_new[3])
     noise = 2 * (p.noise * gain / s.period) ** 2
-    row = Row(row_new[0], h, row_new[-1], p.samples * s.period * p.cutoff > SETTLED_AFTER, noise, 2 / (p.cutoff * s.period))
+    drift = excitation.LOAD_DRIFT * COMPANION.fit(p)["Fc"] ** 2
+    rest = Rest(ca.fabs(row_new[1]) > filtered.NOISES * p.noise, "load", ENTRIES.index("load"), drift)
+    settled = p.samples * s.period * p.cutoff > SETTLED_AFTER
+    row = Row(row_new[0], h, row_new[-1], settled, noise, 2 / (p.cutoff * s.period), rest)
     view = _view(c)
     fitted = COMPANION.advance(p, row, ca.exp(-s.period / p.memory), s.period, lambda _: view)
     found = COMPANION.narrow(p)
@@ -111,11 +114,12 @@ def _published(p: Namespace, found: dict[str, SX], period: SX) -> dict[str, Any]
     sizes |= {name: ca.fabs(found[name]) for name in ("alpha2", "b", "Fc")} | {"load": ca.fabs(found["Fc"])}
     for name, size in sizes.items():
         share = swapping.BOUND_SHARE * COMPANION.dilution(p, name, size)
-        sd[name] = ca.fmin(ca.sqrt(sd[name] ** 2 + size**2 * (share**2 + (swapping.HELD_RATE * period) ** 2)), LARGEST_SD)
-    sd["delay"] = ca.sqrt(sd["lateness"] ** 2 + swapping.LEAST_DELAY_SD**2)
+        sd[name] = ca.sqrt(sd[name] ** 2 + size**2 * (share**2 + (swapping.HELD_RATE * period) ** 2))
+    delay = found["lateness"] + p.delay
+    sd["delay"] = step1.delay_deviation(ca.sqrt(sd["lateness"] ** 2 + swapping.LEAST_DELAY_SD**2), found["b"], sd["b"])
     possible = ca.logic_and(*(found[name] > -step1.IMPOSSIBLE_BY * sd[name] for name in ("alpha2", "Fc")))
-    limits = {name: step1.VALID_SHARE * size for name, size in sizes.items()} | {"delay": SX(step1.VALID_DELAY)}
-    estimates = {name: found[name] for name in sizes} | {"delay": found["lateness"] + p.delay}
+    limits = {name: step1.VALID_SHARE * size for name, size in sizes.items()} | {"delay": step1.delay_limit(delay, sd["delay"])}
+    estimates = {name: found[name] for name in sizes} | {"delay": delay}
     return {"estimates": estimates, **COMPANION.judge(p, sd, limits, possible)}
 
 

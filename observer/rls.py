@@ -95,7 +95,8 @@ def row(p: Namespace, s: Sample, gate: SX) -> tuple[Row, dict[str, SX]]:
     input_rate = (r.next["twice2"] - p.twice2) / s.period  # one sample back exactly, or shares of one
     noise = rounding_noise(p.resolution, p.cutoff, s.period)
     h = ca.vertcat(r.h, 1, input_rate)
-    return Row(r.z, h, r.h[2] * step1.falling(r.h[0], gate), r.counts, noise, 2 / (p.cutoff * s.period)), r.next
+    rest = step1.rest(p, ca.fabs(r.h[0]) > excitation.noise_speed(p))
+    return Row(r.z, h, r.h[2] * step1.falling(r.h[0], gate), r.counts, noise, 2 / (p.cutoff * s.period), rest), r.next
 
 
 def observe(p: Namespace, s: Sample, kept: SX) -> tuple[Row, dict[str, SX]]:

@@ -168,10 +168,22 @@ def _filter(p: Namespace, s: Sample, time: SX) -> _Step:
     quantum = kalman.rounding(p.resolution) * same
     variance = quantum * (1 + p.misfit_noise * misfit + EARLY_QUANTUM * early)
     error = s.y1 + p.resolution / 2 - z[0]
-    before = kalman.noisy(covariance, rates, h)
+    before = _moved_again(p, kalman.noisy(covariance, rates, h))
     z, covariance, size = kalman.correct(z, before, error, variance, p.gate)
     lost = ca.diag(before - covariance)[MOTION_STATES:]
     return _Step(kalman.bounded(z, covariance, *_bounds(p)), covariance, size, error**2 / quantum, lost)
+
+
+def _moved_again(p: Namespace, covariance: SX) -> SX:
+    """Return P with what may have happened in a rest, when that is over: the bristle has held what the load has changed by.
+
+    Source: jazwinski1970 chapter 8.
+    """
+    new = SX(covariance)
+    ended = ca.if_else(p.rest < excitation.FRESH_TIME, p.drifted, 0)
+    for i, j in ((W, W), (W, LOAD), (LOAD, W), (LOAD, LOAD)):
+        new[i, j] = new[i, j] + ended
+    return new
 
 
 def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
@@ -231,6 +243,9 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     seen = information.read(p, START_COLUMNS) + ca.if_else(r.counts, 1, 0) * (row @ row.T)
     excited = excitation.advance(p, -r.h[0], h)
     reversals = ca.if_else(runs, 0, p.start_reversals + excited.reverses)
+    clear = ca.fmax(excitation.CLEAR_SHARE * excitation.rms_speed(p), excitation.noise_speed(p))  # what bends bristles is no motion
+    rest, rests = excitation.rest(p.rest, ca.fabs(r.h[0]) > clear, h)
+    friction = p[f"joint{LEVELS[0]}"] ** 2
     start = _start(p, s, r, seen, reversals)
     step = _filter(p, s, excited.time)
     averages, changed, lost = _judge(p, excited.time, step)
@@ -262,6 +277,8 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         "resumes": ca.if_else(runs, changed, p.resumes),
         "starts": p.starts + go,
         "start_reversals": reversals,
+        "rest": rest,
+        "drifted": ca.if_else(ca.logic_and(runs, rests), ca.fmin(p.drifted + h * excitation.LOAD_DRIFT * friction, friction), 0),
         "moving": ca.if_else(runs, 0, p.moving + ca.if_else(r.counts, h, 0)),
         "age": ca.if_else(runs, p.age + excited.time, 0),
         **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
@@ -302,8 +319,9 @@ def _deviations(p: Namespace) -> dict[str, SX]:
     Source: jazwinski1970 chapter 8; sigma_i = exp(ln c) G_i to first order.
     """
     z, covariance = kalman.read(p, ORDER)
-    factors = ca.diag(consistency.inflation(p, PARAMETER_COUNT))
+    factors, place = ca.diag(consistency.inflation(p, PARAMETER_COUNT)), LOAD - MOTION_STATES
     covariance = factors @ covariance[MOTION_STATES:, MOTION_STATES:] @ factors
+    covariance[place, place] = covariance[place, place] + p.drifted
     return kalman.deviations(_estimates, z[MOTION_STATES:], covariance)
 
 
@@ -378,6 +396,8 @@ METHOD = Method(
         State("resumes", "1", "1 if what comes next starts with the c there was"),
         State("starts", "1", "how often it has started"),
         State("start_reversals", "1", "reversals since a start is looked for"),
+        excitation.rest_state(),
+        State("drifted", "rad2/s4", "variance by which the load may have changed in this rest"),
         State("moving", "s", "motion seen since a start is looked for"),
         State("age", "s", "time since the start, as far as it counts as excited"),
         State("innovation_mean", "1", "mean squared innovation over its variance", initial=1.0),

@@ -13,8 +13,8 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import excitation
-from bristle.observer.companion import Companion, Row
-from bristle.observer.method import Sample
+from bristle.observer.companion import Companion, Rest, Row
+from bristle.observer.method import LARGEST_SD, Sample
 
 SX = ca.SX
 COMPANION = Companion(("alpha2", "b", "Fc", "load", "late_drive"), extra=1)  # the last is -b d
@@ -31,7 +31,7 @@ STATES = (
 VALID_DELAY = 0.1  # samples, standard deviation of a valid delay
 IMPOSSIBLE_BY = 2.0  # standard deviations below zero at which a friction refutes the model
 LONGEST_FOUND = 1e3  # samples, beyond which a delay is no delay
-LEAST_SQUARE = 1e-300  # keeps a division by b defined
+SMALLEST_DRIVE = 1e-9  # rad/(s2.V), keeps a division by b defined
 
 
 def gate_parameter(prefix: str, vc: float = 0.0) -> Parameter:
@@ -65,9 +65,24 @@ def left(p: Namespace, shared: Mapping[str, SX]) -> SX:
     return SX((p.gate_reached / shared["gate_reached"]) ** GATE_POWER)
 
 
+def rest(p: Namespace, moves: SX) -> Rest:
+    """Return what a companion of step 1 is told of rest: the load may change then."""
+    return Rest(moves, "load", COMPANION.names.index("load"), excitation.LOAD_DRIFT * COMPANION.fit(p)["Fc"] ** 2)
+
+
 def falling(speed: SX, gate: SX) -> SX:
     """Return a friction that falls with the inverse square of the speed above the gate, over its value at the gate."""
     return SX((gate / ca.fmax(ca.fabs(speed), gate)) ** 2)
+
+
+def delay_deviation(sd: SX, b: SX, sd_b: SX) -> SX:
+    """Return the standard deviation of a delay for the one at this b; where b may be 0, the delay may be anything."""
+    return SX(ca.if_else(ca.fabs(b) > IMPOSSIBLE_BY * sd_b, sd, LARGEST_SD))
+
+
+def delay_limit(delay: SX, sd: SX) -> SX:
+    """Return up to which standard deviation a delay is valid: up to none where it is negative for sure."""
+    return SX(ca.if_else(delay > -IMPOSSIBLE_BY * sd, VALID_DELAY, 0))
 
 
 def published(p: Namespace, own: Mapping[str, SX], period: SX) -> dict[str, Any]:
@@ -80,12 +95,13 @@ def published(p: Namespace, own: Mapping[str, SX], period: SX) -> dict[str, Any]
     possible = SX(1)
     for name in ("alpha2", "Fc"):
         possible = ca.logic_and(possible, fitted[name] > -IMPOSSIBLE_BY * spread[name])
-    sd = COMPANION.deviations(p, found)
+    missed = {name: COMPANION.misfit(p, name) for name in found}
+    sd = {name: ca.sqrt(each**2 + missed[name] ** 2) for name, each in COMPANION.deviations(p, found).items()}
     alpha2, b, friction, load, late = (found[name] for name in COMPANION.names)
-    samples = b / (b**2 + LEAST_SQUARE) / period
-    delay = ca.fmax(ca.fmin(-late * samples, LONGEST_FOUND), -LONGEST_FOUND)
-    sd |= {"delay": ca.fmin(sd.pop("late_drive") * ca.fabs(samples), LONGEST_FOUND)}
+    samples = b / (b**2 + SMALLEST_DRIVE**2) / period
+    delay = ca.fmax(ca.fmin(-late * samples, LONGEST_FOUND), -LONGEST_FOUND) + p.delay
+    sd["delay"] = delay_deviation(sd.pop("late_drive") * ca.fabs(samples), b, sd["b"])
     sizes = {"alpha2": alpha2, "b": ca.fabs(b), "Fc": friction, "load": friction}
-    limits = {name: VALID_SHARE * size for name, size in sizes.items()} | {"delay": SX(VALID_DELAY)}
-    estimates = {"alpha2": alpha2, "b": b, "Fc": friction, "load": load, "delay": delay + p.delay}
+    limits = {name: VALID_SHARE * size for name, size in sizes.items()} | {"delay": delay_limit(delay, sd["delay"])}
+    estimates = {"alpha2": alpha2, "b": b, "Fc": friction, "load": load, "delay": delay}
     return {"estimates": estimates, **COMPANION.judge(p, sd, limits, possible)}

@@ -44,18 +44,18 @@ class Law:
 
 
 def start_parameter(prefix: str) -> Parameter:
-    """Declare after which time step 2 begins at the latest."""
-    text = "step 2 begins when step 1 has converged, and then at the latest"
+    """Declare after which time in motion step 2 begins at the latest."""
+    text = "step 2 begins when step 1 has converged, and after this time in motion at the latest"
     return Parameter(f"{prefix}.longest_wait", "T2", "s", 100.0, 0.0, 1e6, text, "dixit2008 section IV-E")
 
 
 def begun(p: Namespace, s: Sample, step1_fields: Mapping[str, Any], share: float = START_SHARE) -> SX:
-    """Return 1 from the start of step 2 on: alpha2 and b are known to this share, or it has been waited for long enough."""
+    """Return 1 from the start of step 2 on: alpha2 and b are known to this share, or the servo has moved for long enough."""
     known = step1_fields["adapted"]
     for name in ("alpha2", "b"):
         size = ca.fabs(step1_fields["estimates"][name])
         known = ca.logic_and(known, step1_fields["sd"][name] < share * size)
-    waited = p.samples * s.period >= p.longest_wait
+    waited = ca.logic_and(step1_fields["adapted"], p.travelled >= p.longest_wait)  # nothing is learnt in rest
     return SX(ca.logic_or(p.step2_runs > 0, ca.logic_or(known, waited)))
 
 

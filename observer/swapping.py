@@ -20,8 +20,8 @@ import casadi as ca
 from bristle.model.basis import gaussian, width_parameter
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter
-from bristle.observer import consistency, information, step1, zhang
-from bristle.observer.companion import Companion, Row, View
+from bristle.observer import consistency, excitation, information, step1, zhang
+from bristle.observer.companion import Companion, Rest, Row, View
 from bristle.observer.method import EquationContext, Sample, stack, unstack, vector_states
 
 SX = ca.SX
@@ -39,7 +39,7 @@ SMOOTHED_SHARE = 0.005  # standard deviation of sigma_i and c over themselves wh
 HELD_RATE = 1.0  # 1/s, standard deviation of any estimate over itself, by the time over which v is smoothed or held
 JUDGED_BLOCKS = 3.0  # blocks of consistency.py after which it says something
 LEAST_WEIGHT = 0.25  # of sigma0: size against which sigma1 and sigma2 are small
-SPEED_ENTRY = 2  # the column of L v
+SPEED_ENTRY, LOAD_ENTRY = 2, 8  # the columns of L v and of L |v|
 LEAST_DELAY_SD = 0.05  # samples, of a delay that is found
 SMALLEST_SD = 1e-9  # of what is known beforehand, in its unit
 EXACT = 1e9  # how many times what the samples say counts what is known exactly
@@ -140,7 +140,9 @@ def observe(
     p = context.p
     filters, line = advance(context, given.corner, s.period, *ends)
     counts = p.samples * s.period * given.corner > SETTLED_AFTER
-    row = Row(line[-1], line[:-1].T, SX(0, 1), counts, given.noise, 2 / (given.corner * s.period))
+    moves = given.corner**2 * ca.fabs(line[SPEED_ENTRY]) > ca.sqrt(given.noise)  # of v, filtered, against that of v itself
+    rest = Rest(moves, "load", LOAD_ENTRY, excitation.LOAD_DRIFT * fitted.fit(p)["sigma0"] ** 2)  # c d against sigma0 = c Fc
+    row = Row(line[-1], line[:-1].T, SX(0, 1), counts, given.noise, 2 / (given.corner * s.period), rest)
     weight = p[f"{fitted.prefix}residual"]
 
     def look(seen: SX) -> View:
@@ -192,12 +194,13 @@ def worth(p: Namespace, fitted: Companion, own: Mapping[str, SX], given: Setting
         shares = (common, lost) if name in zhang.ESTIMATES else (bound[name], SX(0))
         spread = (BOUND_SHARE * shares[0]) ** 2 + shares[1] ** 2 + (HELD_RATE * given.lag) ** 2
         sd[name] = ca.sqrt(sd[name] ** 2 + size**2 * spread)
-    sd["delay"] = ca.sqrt(sd["lateness"] ** 2 + LEAST_DELAY_SD**2)
+    sd["delay"] = step1.delay_deviation(ca.sqrt(sd["lateness"] ** 2 + LEAST_DELAY_SD**2), found["b"], sd["b"])
     possible = ca.logic_and(bound["c"] < 1, p[f"{fitted.prefix}counted"] > JUDGED_BLOCKS * consistency.BLOCK_TIME)
     for name in ("alpha2", "Fc", "sigma0", "c"):
         possible = ca.logic_and(possible, found[name] > -step1.IMPOSSIBLE_BY * sd[name])
-    limits = {name: step1.VALID_SHARE * size for name, size in sizes.items()} | {"delay": SX(step1.VALID_DELAY)}
-    return Worth({name: ca.fmin(each, LARGEST_ENTRY) for name, each in sd.items()}, limits, possible)
+    limits = {name: step1.VALID_SHARE * size for name, size in sizes.items()}
+    limits["delay"] = step1.delay_limit(found["lateness"] + p.delay, sd["delay"])
+    return Worth(sd, limits, possible)
 
 
 def published(p: Namespace, fitted: Companion, given: Settings, names: Iterable[str] = ESTIMATES) -> dict[str, Any]:

@@ -40,6 +40,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         estimates={"vc": p.found},
         signals={"v": p.mean},
         valid={"vc": SX(p.found > 0)},
+        adapted=SX(p.found > 0),
     )
 
 

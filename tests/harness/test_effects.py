@@ -13,6 +13,7 @@ from bristle.harness.loop import simulate
 from bristle.harness.plan import Kind, find_fmus, identification, prepare
 from bristle.harness.run import Options, run
 from bristle.harness.scenario import load
+from bristle.observer import methods
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], Any]], str]
@@ -129,3 +130,19 @@ def test_what_cannot_be_is_one_line(
 def test_effects_and_a_foreign_plant_exclude_each_other(base: str, scenario_file: Maker, message: Message) -> None:
     path = scenario_file(with_effects(base, "bias").replace('law = "modified"', 'fmu = "other.fmu"'))
     assert "effects join a law, and fmu is given" in message(lambda: load(path))
+
+
+def test_no_method_is_taken_for_diverged(base: str, scenario_file: Maker) -> None:
+    path, ended = scenario_file(base.replace('duration = "2 s"', 'duration = "3 s"\nsensor = "encoder"')), {}
+    for method in methods():
+        loaded = load(path, (f"observer.method={method}",))
+        ended[method] = simulate(identification(prepare(loaded, find_fmus(loaded, 2, "native")))).failure
+    assert {method: failure for method, failure in ended.items() if failure} == {}
+
+
+def test_a_torque_on_the_shaft_is_the_true_load(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    stimulus = '[[stimuli]]\nvariable = "tau_load"\npoints = [["0 s", "0 N.m"], ["1 s", "0.0004 N.m"]]\n[[checks]]'
+    result = run(scenario_file(base.replace("[[checks]]", stimulus, 1)), tmp_path / "out").result
+    load_found = result["estimates"]["load"]
+    assert load_found["true"] == pytest.approx(0.4)
+    assert "load_valid" in (tmp_path / "out" / "case" / "signals.csv").read_text().partition("\n")[0].split(",")

@@ -112,6 +112,13 @@ def test_an_estimate_that_is_never_valid_is_listed_and_one_that_a_method_does_no
     assert [(name, course.unit, course.valid[-1]) for name, course in found.items()] == [("c", "1/rad", 0.0), ("Fc", "1", 1.0)]
 
 
+def test_an_estimate_that_stays_0_is_listed_if_it_has_a_standard_deviation() -> None:
+    record = (("observer", "b_hat"), ("observer", "c_hat"), ("observer", "b_sd"), ("observer", "c_sd"))
+    values = np.column_stack([np.zeros((5, 2)), np.full(5, 1e9), np.zeros(5)])
+    found = metrics.courses(Trace(record, values, 1.0, [(0, {("observer", f"{name}_valid"): 0.0 for name in "bc"})]), {})
+    assert list(found) == ["b"]
+
+
 def test_a_state_that_the_observer_does_not_estimate_has_no_error() -> None:
     port, said = ("observer", "w_hat"), ("observer", "w_hat_valid")
     for known, expected in ((1.0, {"w"}), (0.0, set())):

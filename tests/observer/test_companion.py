@@ -19,8 +19,8 @@ from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.model.variables import State
 from bristle.observer import methods, observer_program, rls, step1
-from bristle.observer.companion import LARGEST_SD, Companion, Row
-from bristle.observer.method import Method, Update, observer
+from bristle.observer.companion import Companion, Row
+from bristle.observer.method import LARGEST_SD, Method, Update, observer
 
 SX = ca.SX
 STEP = 1e-3
