@@ -89,7 +89,7 @@ def emps(tell: Callable[[str], None]) -> Iterator[Run]:
     }
     if whole.refitted:
         numbers["the same with the parameters of the segments"] = f"{1e3 * whole.horizons[-1].segments:.2f} mm"
-    wanted = (frozenset({"bias"}), frozenset({"asymmetric_coulomb"}))
+    wanted = (frozenset({"bias"}), frozenset({"asymmetric_coulomb"}), frozenset({"asymmetric_viscous"}))
     data = {
         "time": trace.time, "measured": trace.measured, "before": trace.before, "after": trace.after,
         "rmse": {"before": row.rms_before, "after": row.rms_after},
