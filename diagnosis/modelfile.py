@@ -16,12 +16,14 @@ from bristle.common.table import READERS
 from bristle.common.toml import first_mistake, mistake, quoted, read_toml
 from bristle.common.units import interval, parse_unit, quantity
 from bristle.model.variables import Parameter
+from bristle.plant.effect import Effect
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
 from bristle.plant.friction import laws
 from bristle.plant.law import FrictionLaw
 from bristle.plant.servo import A2, B, J, servo
+from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import Wording
 from bristle.records.layout import INPUT_UNITS, Layout, LayoutTable, layout_lines, layout_of
 
@@ -165,9 +167,14 @@ def unit_on(full_name: str, unit: str, linear: bool, kind: str) -> str:
     return unit if name.startswith("phase") else si_unit(unit, linear, kind)
 
 
+def _may_have() -> dict[str, Effect]:
+    """Return what a model may have, by name: the effects, and the unnamed torques."""
+    return {**all_effects(), **UNNAMED_TORQUES}
+
+
 def _declared(friction: str) -> dict[str, Parameter]:
     """Return the parameters of the servo, the law and all effects by name."""
-    own = (J, A2, B, *find_law(friction).parameters, *(p for e in all_effects().values() for p in e.parameters))
+    own = (J, A2, B, *find_law(friction).parameters, *(p for e in _may_have().values() for p in e.parameters))
     return {p.name: p for p in own}
 
 
@@ -298,7 +305,7 @@ def default_bounds(law: FrictionLaw, parameters: Mapping[str, float]) -> dict[st
 
 
 def _effect(file: _File, name: str, given: Mapping[str, Given]) -> dict[str, float]:
-    known = all_effects()
+    known = _may_have()
     if name not in known:
         message = f"unknown effect{suggest(name, list(known))}; choose one of: {', '.join(known)}"
         raise file.mistake(f"effects.{name}", None, message)

@@ -20,6 +20,7 @@ from bristle.diagnosis.modelfile import NO_LIMIT, Model
 from bristle.plant.effect import RecordedMotion
 from bristle.plant.effects import effects
 from bristle.plant.friction import law as find_law
+from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.records.record import Record
 
 SEGMENT_SECONDS = 0.4  # s: usual length of a segment
@@ -114,7 +115,7 @@ def base_servo_of(model: Model, dataset: Dataset) -> tuple[Servo, dict[str, floa
             free.append(Free(f"{OWN_BRISTLES}.damping", 0.0, 30 * damping, False, damping, 2 * damping))
     for effect, own in model.effects.items():
         values |= {f"{effect}.{name}": value for name, value in own.items()}
-        free += _prior_around(effect, own)
+        free += [] if effect in UNNAMED_TORQUES else _prior_around(effect, own)
     servo = Servo(
         model.friction, tuple(model.effects), tuple(model.bounds), tuple(free), fixed_values(s.h), rigid, limits(dataset),
         credible(dataset),

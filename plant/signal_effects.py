@@ -12,6 +12,7 @@ from bristle.model.generator import MODULUS, normal, scrambled
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.effect import LONGEST_DELAY, Context, Extension
 from bristle.plant.effects import effects
+from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 
 __all__ = ["SIGNAL_EFFECTS", "extension"]
 
@@ -85,8 +86,8 @@ SIGNAL_EFFECTS = {each.name: each for each in (INPUT_NOISE, MEASUREMENT_DELAY)}
 
 
 def extension(name: str) -> Extension:
-    """Return the effect `name`, one of `plant/effects` or of this file; raise `BristleError` for an unknown one."""
-    known = {**effects(), **SIGNAL_EFFECTS}
+    """Return the effect `name`, one of `plant/effects`, an unnamed torque or one of this file; raise `BristleError` for an unknown one."""
+    known = {**effects(), **SIGNAL_EFFECTS, **UNNAMED_TORQUES}
     if name not in known:
         raise BristleError(f"unknown effect '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")
     return known[name]

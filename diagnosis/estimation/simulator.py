@@ -19,6 +19,7 @@ from bristle.model.native import Native, pointer
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.servo import LOAD_STARTS, servo_program
+from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 
 Mask = NDArray[np.bool_]
 
@@ -49,7 +50,8 @@ def play_parameter(effects: Sequence[str]) -> str:
 
 @lru_cache(maxsize=256)  # four rounds of all effects
 def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...]) -> Native:
-    wanted = [*base, *(p.name for name in effects for p in find_effect(name).parameters), *START_STATES]
+    fitted = [name for name in effects if name not in UNNAMED_TORQUES]
+    wanted = [*base, *(p.name for name in fitted for p in find_effect(name).parameters), *START_STATES]
     wanted += LOAD_STATES if play_parameter(effects) else ()
     observed = "v" if velocity else "theta"
     program = servo_program(law, encoder=False, effects=effects, sensitivities=tuple(wanted), observed=observed)

@@ -10,6 +10,7 @@ from bristle.common.plugins import catalogue_modules
 from bristle.model.declarations import checked_declarations
 from bristle.model.normalised import OBSERVED
 from bristle.plant.effect import NEEDS, VIEWS, Effect
+from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.plant.wording import ROTARY, Wording
 
 __all__ = ["effect", "effects", "separation"]
@@ -58,7 +59,12 @@ def effects(wording: Wording = ROTARY) -> dict[str, Effect]:
 
 
 def effect(name: str, wording: Wording = ROTARY) -> Effect:
-    """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for an unknown one."""
+    """Return the effect `name`, with the words for an axis in its texts; raise `BristleError` for an unknown one.
+
+    The unnamed torques are found too, although they are not among `effects`.
+    """
+    if name in UNNAMED_TORQUES:
+        return UNNAMED_TORQUES[name].worded(wording)
     known = _catalogue(wording)
     if name not in known:
         raise BristleError(f"unknown effect '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")
