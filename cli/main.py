@@ -362,6 +362,7 @@ def diagnose(
     model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=_path)] = None,
     fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=_path)] = None,
     choose: Annotated[str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME")] = None,
+    fill: Annotated[bool, typer.Option("--fill", help="put what is left unexplained into the model, as an unnamed torque")] = False,
     jobs: Annotated[int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")] = 0,
     budget: Annotated[str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")] = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
@@ -374,7 +375,7 @@ def diagnose(
     data = files_of(data)
     from bristle.common.output import output_folder
     from bristle.common.provenance import provenance_of
-    from bristle.diagnosis.report.export import check_places, write
+    from bristle.diagnosis.report.export import check_places, nothing_filled, write
 
     options = _search_options(jobs, budget)
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
@@ -383,10 +384,12 @@ def diagnose(
         tell("writing", 1.0)
         problem = None
         try:
-            write(found, out, choose, fmi=int(fmi.value), made=provenance_of(fmu or model, data, _command()))
+            write(found, out, choose, fmi=int(fmi.value), made=provenance_of(fmu or model, data, _command()), fill=fill)
         except BristleError as error:
             problem = error
     _summary(found, choose if problem is None else None)  # the answer is printed even if it cannot be written
+    if fill and not (found.unnamed is not None and found.unnamed.offered):
+        print(nothing_filled(found))
     if problem is None or isinstance(problem, IncompleteError):
         print(f"{found.verdict}  {out / 'report.html'}", flush=True)
     if problem is not None:

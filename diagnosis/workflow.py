@@ -14,6 +14,7 @@ from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
 from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
+from bristle.diagnosis.filling import unnamed_torque, with_unnamed_torque
 from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
 from bristle.diagnosis.report import result as answer
@@ -103,7 +104,9 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         refitted, whole = refit_to_whole_records(prepared.case, found, refit=in_time)
         more = prepared.additions(found)
         more = replace(more, findings_after=(*more.findings_after, *_cut_short(outcome, options, refit=in_time)))
-        return replace(as_diagnosis(prepared.case, refitted, whole, more), seconds=time.perf_counter() - started)
+        unnamed = unnamed_torque(prepared.case, found) if time.perf_counter() < started + REFIT_SHARE * options.budget else None
+        diagnosis = as_diagnosis(prepared.case, refitted, whole, more)
+        return replace(with_unnamed_torque(diagnosis, unnamed), seconds=time.perf_counter() - started)
 
 
 def _cut_short(outcome: SearchOutcome, options: SearchOptions, refit: bool) -> list[str]:

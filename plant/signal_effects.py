@@ -86,7 +86,7 @@ SIGNAL_EFFECTS = {each.name: each for each in (INPUT_NOISE, MEASUREMENT_DELAY)}
 
 
 def extension(name: str) -> Extension:
-    """Return the effect `name`, one of `plant/effects`, an unnamed torque or one of this file; raise `BristleError` for an unknown one."""
+    """Return the effect `name`: of `plant/effects`, of this file or an unnamed torque; raise `BristleError` for an unknown one."""
     known = {**effects(), **SIGNAL_EFFECTS, **UNNAMED_TORQUES}
     if name not in known:
         raise BristleError(f"unknown effect '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")

@@ -11,8 +11,8 @@ from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, refit_with_noise, under_own_noise
 from bristle.diagnosis.estimation.likelihood import Point, squares
-from bristle.diagnosis.estimation.optimiser import resume
 from bristle.diagnosis.estimation.optimiser import refit as refit_parameters
+from bristle.diagnosis.estimation.optimiser import resume
 from bristle.diagnosis.estimation.uncertainty import INTERVAL_FACTOR
 from bristle.diagnosis.localisation.residual_localisation import FOLDS, VIEW_RIDGE
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
@@ -169,5 +169,3 @@ def fill(dataset: Dataset, final: FittedModel) -> Filled | None:
         fitted = FittedModel(servo, problem, resume(problem, fit))
     before, after = (squares(each.fit, dataset.held_out) for each in (final, fitted))
     return Filled(curve, fitted, before, after)
-
-

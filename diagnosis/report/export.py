@@ -16,7 +16,7 @@ from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
 from bristle.diagnosis.report.figures import draw
 from bristle.diagnosis.report.html import render
-from bristle.diagnosis.report.result import Diagnosis, Estimate
+from bristle.diagnosis.report.result import Diagnosis, Estimate, UnnamedTorque
 from bristle.fmus.build import build, program_files
 from bristle.fmus.pack import write_archive
 from bristle.plant.effects import effect as find_effect
@@ -35,11 +35,14 @@ class Augmented:
     parameters: dict[str, float]  # start values [SI] of the servo
 
 
-def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None:
+def augment(diagnosis: Diagnosis, choose: str | None = None, fill: bool = False) -> Augmented | None:
     """Return the model with what was found, or None where nothing may be added.
 
-    `choose` is a member of a tie to take as if it had been named; `BristleError` if it is none, or its parameters are unknown.
+    `choose` is a member of a tie to take as if it had been named; `BristleError` if it is none, or its parameters are unknown. With
+    `fill` the unexplained residual is added as an unnamed torque, where one is offered.
     """
+    if fill and diagnosis.unnamed is not None and diagnosis.unnamed.offered:
+        return _filled(diagnosis, diagnosis.unnamed, choose)
     if choose is not None:
         _check_choice(diagnosis, choose)
     elif diagnosis.verdict not in ("named", "none"):
@@ -55,6 +58,23 @@ def augment(diagnosis: Diagnosis, choose: str | None = None) -> Augmented | None
         found |= {choose: diagnosis.choices[choose]}
     model = refitted_model(diagnosis.model, own or diagnosis.base, found)
     return Augmented(model, tuple(model.effects), tuple(found), _settings(model))
+
+
+def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) -> Augmented:
+    """Return the model with what was named and the unnamed torque; its parameters are those fitted beside that."""
+    if choose is not None:
+        raise BristleError(f"chosen effect '{choose}': the unnamed torque was fitted without it; give --choose or --fill, not both")
+    found = {e.name: e.parameters for e in diagnosis.effects}
+    own = {
+        **(diagnosis.parameters or diagnosis.base),
+        **{f"{e}.{key}": x for e, given in found.items() for key, x in given.items()},
+    }
+    beside = {name: replace(e, value=unnamed.values.get(name, e.value)) for name, e in own.items()}
+    effects = {e: {key: beside[f"{e}.{key}"] for key in given} for e, given in found.items()}
+    model = refitted_model(diagnosis.model, beside, effects)
+    curves = {curve.effect: curve.parameters for curve in unnamed.curves}
+    model = replace(model, effects={**model.effects, **curves})
+    return Augmented(model, tuple(model.effects), (*found, *curves), _settings(model))
 
 
 def _check_choice(diagnosis: Diagnosis, choose: str) -> None:
@@ -120,12 +140,14 @@ class _Package:
             self.notes.append(f"{name} was not written: {error}")
 
 
-def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[str, Any]) -> _Package:
+def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[str, Any], fill: bool) -> _Package:
     package = _Package()
+    if fill and not (diagnosis.unnamed is not None and diagnosis.unnamed.offered):
+        package.notes.append(nothing_filled(diagnosis))
     package.meaning = {"diagnosis.json": "the answer in numbers", "report.html": "this page"}
     augmented = None
     try:
-        augmented = augment(diagnosis, choose)
+        augmented = augment(diagnosis, choose, fill)
     except BristleError as error:
         package.problems.append(error)
         package.notes.append(str(error))
@@ -137,6 +159,15 @@ def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[s
     page = render(diagnosis, draw(diagnosis), package.meaning, package.notes, choose)
     package.content["report.html"] = page.encode()
     return package
+
+
+def nothing_filled(diagnosis: Diagnosis) -> str:
+    """Return why no unnamed torque was put into the augmented model."""
+    if diagnosis.unnamed is not None:
+        why = diagnosis.unnamed.reason
+    else:
+        why = "it was not looked for" if diagnosis.remains.flag else "nothing much is unexplained"
+    return f"No unnamed {diagnosis.model.wording.torque} was added: {why}."
 
 
 def _add_models(package: _Package, augmented: Augmented, fmi: int) -> None:
@@ -182,7 +213,13 @@ def _made(make: Callable[[Path], None]) -> bytes:
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def write(
-    diagnosis: Diagnosis, out: Path, choose: str | None = None, *, fmi: int = 2, made: Mapping[str, Any] | None = None
+    diagnosis: Diagnosis,
+    out: Path,
+    choose: str | None = None,
+    *,
+    fmi: int = 2,
+    made: Mapping[str, Any] | None = None,
+    fill: bool = False,
 ) -> list[Path]:
     """Write a diagnosis into the folder `out`: the files of `WRITTEN_FILES` that there are; older ones of these names go.
 
@@ -201,6 +238,8 @@ def write(
         Version of the FMUs, 2 or 3.
     made : mapping, optional
         Where it comes from, for the key `provenance` of diagnosis.json.
+    fill : bool
+        Put the unexplained residual into the augmented model, as an unnamed torque, where one is offered.
 
     Returns
     -------
@@ -219,7 +258,7 @@ def write(
     out = Path(out)
     check_writable(out)
     check_places(out)
-    package = _package(diagnosis, choose, fmi, provenance() if made is None else made)
+    package = _package(diagnosis, choose, fmi, provenance() if made is None else made, fill)
     written = replace_files(out, package.content, WRITTEN_FILES)
     if package.problems:
         raise IncompleteError(f"{package.problems[0]} (all else is in {out})")

@@ -72,6 +72,7 @@ def draw(diagnosis: Diagnosis) -> dict[str, str]:
             ("gap", _gap(diagnosis)),
             ("overlay", _overlay(diagnosis)),
             ("maps", _maps(diagnosis.where, model, improved(diagnosis))),
+            ("unnamed", _unnamed(diagnosis)),
             ("candidates", _candidates(diagnosis)),
             ("open_loop", _open_loop(diagnosis)),
         ):
@@ -252,6 +253,37 @@ def _map(ax: Any, view: View, model: Model, both: bool, scale: float) -> None:
     set_labels(ax, x=label)
 
 
+# -- unnamed torque ------------------------------------------------------------------------------------------------------
+def _unnamed(diagnosis: Diagnosis) -> Any:
+    """Draw the unexplained residual as functions of one variable each, with their bands."""
+    if diagnosis.unnamed is None or not diagnosis.unnamed.curves:
+        return None
+    model, curves = diagnosis.model, diagnosis.unnamed.curves
+    figure = new_figure(11.0, 3.5)
+    axes = figure.subplots(1, len(curves), squeeze=False)[0]
+    figure.subplots_adjust(wspace=0.26)
+    _, torque = shown("N" if model.linear else "N.m")
+    power = _thousands([c.values for c in curves])
+    for ax, curve in zip(axes, curves, strict=True):
+        factor, label = view_axis(model, curve.variable)
+        x, scale = factor * curve.places, 10.0**-power
+        ax.fill_between(
+            x,
+            scale * (curve.values - curve.half_width),
+            scale * (curve.values + curve.half_width),
+            color=AFTER,
+            alpha=0.18,
+            linewidth=0,
+        )
+        ax.plot(x, scale * curve.values, color=AFTER, linewidth=1.6)
+        ax.axhline(0, color=INK, linewidth=0.7)
+        ax.set_xlim(x[0], x[-1])
+        set_labels(ax, x=label)
+    raised = f"10{str(power).translate(RAISED)} " if power else ""
+    set_labels(axes[0], y=f"unnamed {model.wording.torque}, {raised}{torque}")
+    return figure
+
+
 # -- candidates ----------------------------------------------------------------------------------------------------------
 def _candidates(diagnosis: Diagnosis) -> Any:
     rounds = [r for r in diagnosis.rounds if r.candidates]
@@ -339,6 +371,11 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
             f"period{colours}; solid: forward, dashed: backward, where there are two lines. "
             "The share is how much of the residual's power the variable predicts in segments left out of its fit; p: "
             "probability of as much by chance.",
+        ),
+        "unnamed": (
+            f"Unnamed {torque}",
+            f"What is left unexplained, as a {torque} that is a smooth function of one variable (or a sum of two), with its 95 % "
+            "band. Fitted to the segments that are not held out; it says nothing about a cause, and holds only in the range drawn.",
         ),
         "candidates": (
             "Gain of each candidate effect",

@@ -19,6 +19,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return _found(diagnosis)
     if diagnosis.verdict == "none":
         return f"{NOT_ENOUGH}: something is missing, and no effect of the catalogue explains it"
+    if diagnosis.verdict == "named":
+        return f"{NOT_ENOUGH}: {_lacking(diagnosis)}"
     found = _found(diagnosis)
     return f"{NOT_ENOUGH}: {found[0].lower()}{found[1:]}"
 
@@ -30,12 +32,17 @@ def mark(diagnosis: Diagnosis) -> tuple[str, str]:
     return "open" if diagnosis.remains.flag else BADGES[diagnosis.verdict], VERDICTS[diagnosis.verdict]
 
 
+def _lacking(diagnosis: Diagnosis) -> str:
+    """Return the named effects, each with those it cannot be distinguished from."""
+    ties = {name: tie for tie in diagnosis.ties for name in tie}
+    wording = diagnosis.model.wording
+    return listed([titles_listed(ties.get(e.name, (e.name,)), "or", wording) for e in diagnosis.effects], "and")
+
+
 def _found(diagnosis: Diagnosis) -> str:
     wording = diagnosis.model.wording
     if diagnosis.verdict == "named":
-        ties = {name: tie for tie in diagnosis.ties for name in tie}
-        lacking = [titles_listed(ties.get(each.name, (each.name,)), "or", wording) for each in diagnosis.effects]
-        return f"The model lacks: {listed(lacking, 'and')}"
+        return f"The model lacks: {_lacking(diagnosis)}"
     if diagnosis.verdict == "tie":
         sets = "; ".join(titles_listed(tie, "or", wording) for tie in diagnosis.ties)
         return f"The model lacks one of: {sets}; the records fit each equally well"

@@ -24,6 +24,7 @@ from bristle.diagnosis.report.text import (
     listed,
     rounded,
     unexplained_line,
+    unnamed_line,
     view_name,
 )
 from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE
@@ -184,6 +185,13 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     return f"<p>Nothing that matters: {said}.</p>"
 
 
+def _unnamed(diagnosis: Diagnosis) -> str:
+    if diagnosis.unnamed is None:
+        return ""
+    line = unnamed_line(diagnosis.unnamed, diagnosis.model.wording)
+    return f"<p>{escape(line[0].upper() + line[1:])}.</p>"
+
+
 def _views(diagnosis: Diagnosis) -> str:
     rows = []
     for v in sorted(diagnosis.where, key=lambda v: (v.p > LISTED_VIEW_P, -v.share)):
@@ -275,7 +283,7 @@ def render(
         _section(words["overlay"][0], drawn.get("overlay", "")),
         _section(words["maps"][0], drawn.get("maps", "") + _views(diagnosis)),
         _section(words["candidates"][0], drawn.get("candidates", "")),
-        _section("Unexplained residual", _unexplained(diagnosis)),
+        _section("Unexplained residual", _unexplained(diagnosis) + _unnamed(diagnosis) + drawn.get("unnamed", "")),
         following if settled else "",
         _section("What the records excite", _excitation(diagnosis)),
         _section("Findings", _items(diagnosis.findings)),

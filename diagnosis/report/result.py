@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from bristle.common.output import plain
 from bristle.diagnosis.estimation.uncertainty import Estimate as Estimate
 from bristle.diagnosis.localisation.unexplained import Unexplained
+from bristle.diagnosis.localisation.unnamed_torque import Curve
 from bristle.diagnosis.localisation.views import View as View
 from bristle.diagnosis.modelfile import Model
 
@@ -87,6 +89,28 @@ class Gap:
         if self.noise_floor is None or self.before <= self.noise_floor:
             return None
         return (self.before - self.after) / (self.before - self.noise_floor)
+
+
+@dataclass(frozen=True)
+class UnnamedTorque:
+    """The unexplained residual as a sum of smooth functions, each of one variable.
+
+    `before`, `after`: mean squared errors on held-out segments, which took no part in its fit, without and with it. `offered`:
+    whether it lowers them enough to be put into a model; if not, `reason` says why. `values`: parameters of the model beside it.
+    """
+
+    curves: tuple[Curve, ...]
+    offered: bool
+    before: float
+    after: float
+    output_unit: str
+    values: dict[str, float]
+    reason: str = ""
+
+    @property
+    def share(self) -> float:
+        """Share of the squared error on held-out segments that it explains."""
+        return max(0.0, 1.0 - self.after / self.before) if self.before > 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -190,6 +214,8 @@ class Diagnosis:
         Of each member of a tie, as if it had been named: its parameters, and those of the model beside it.
     whole : WholeRecords or None
         Errors of whole records in open loop, before and after; None if nothing was searched.
+    unnamed : UnnamedTorque or None
+        What is left unexplained as a function of one variable or two; None where nothing much is left.
     """
 
     verdict: str
@@ -213,6 +239,7 @@ class Diagnosis:
     choices: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     whole: WholeRecords | None = None
+    unnamed: UnnamedTorque | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
@@ -231,6 +258,7 @@ class Diagnosis:
                     for w in self.where
                 ],
                 "remains": asdict(self.remains),
+                "unnamed_torque": _unnamed(self.unnamed) if self.unnamed else None,
                 "gap": {"before": self.gap.before, "after": self.gap.after, "noise_floor": self.gap.noise_floor,
                         "ratio": self.gap.ratio, "shrink": self.gap.shrink, "unit": self.gap.unit},
                 "excitation": self.excitation,
@@ -247,6 +275,14 @@ class Diagnosis:
             }
         )  # fmt: skip
         return content
+
+
+def _unnamed(found: UnnamedTorque) -> dict[str, Any]:
+    curves = [{"variable": c.variable, "places": c.places, "torque": c.values, "half_width": c.half_width} for c in found.curves]
+    return {
+        "offered": found.offered, "reason": found.reason, "share": found.share, "rms_before": math.sqrt(found.before),
+        "rms_after": math.sqrt(found.after), "functions": curves,
+    }  # fmt: skip
 
 
 def _whole(found: WholeRecords) -> dict[str, Any]:

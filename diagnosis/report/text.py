@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import Estimate, Gap, Named, WholeRecords
+from bristle.diagnosis.report.result import Estimate, Gap, Named, UnnamedTorque, WholeRecords
 from bristle.diagnosis.selection.detection_limit import Undetected
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -222,6 +222,19 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
         said = f"{100 * left.share:.0f} % of the residual can be predicted from {view_name(left.view, left.label)}"
     end = "with none of the tied effects added" if open_tie else "and no effect of the catalogue explains it"
     return f"Unexplained residual: {said}, {end}."
+
+
+def unnamed_line(found: UnnamedTorque, wording: Wording) -> str:
+    """Return a line on the unexplained residual as a smooth function."""
+    if not found.offered:
+        return f"no unnamed {wording.torque} is offered for the unexplained residual: {found.reason}"
+    of = listed([view_name(c.variable) for c in found.curves], "and")
+    before, after = math.sqrt(found.before), math.sqrt(found.after)
+    return (
+        f"an unnamed {wording.torque}, a smooth function of {of}, explains {100 * found.share:.0f} % of the squared error on "
+        f"held-out segments: the rms error falls from {before:.3g} to {after:.3g} {found.output_unit} there. It says nothing about "
+        "a cause, and holds only in the range seen; --fill puts it into the augmented model"
+    )
 
 
 def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:

@@ -44,6 +44,7 @@ PUBLIC = {
     ],
     "bristle.plant.servo": ["servo", "servo_program"],
     "bristle.plant.signal_effects": ["SIGNAL_EFFECTS", "extension"],
+    "bristle.plant.unnamed_torque": ["UNNAMED_KNOTS", "UNNAMED_TORQUES"],
     "bristle.plant.wording": ["ROTARY", "Wording"],
     "bristle.records": ["Column", "Layout", "Record", "Requirements", "read_record", "read_records", "records_from_arrays"],
     "bristle.result": ["Reproduction", "Result"],
