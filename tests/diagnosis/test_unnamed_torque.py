@@ -1,4 +1,4 @@
-"""What nothing in the catalogue explains: fitted as a function of one variable, offered only where it helps, written as what it is."""
+"""What nothing in the catalogue explains: fitted as a function of one variable, offered where it helps, written as what it is."""
 
 from __future__ import annotations
 
