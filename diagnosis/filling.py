@@ -23,7 +23,8 @@ def unnamed_torque(case: Case, found: Conclusion) -> answer.UnnamedTorque | None
     """
     if not found.remains.flag or found.proposal:
         return None
-    dataset, model, curves = case.dataset, found.final, []
+    dataset, model = case.dataset, found.final
+    curves: list[Curve] = []
     refused: tuple[Curve, float] | None = None
     while len(curves) < MOST_CURVES and (filled := fill(dataset, model)) is not None:
         falls = fall(filled.before, filled.after)
@@ -32,11 +33,11 @@ def unnamed_torque(case: Case, found: Conclusion) -> answer.UnnamedTorque | None
             break
         curves.append(filled.curve)
         model = filled.fitted
-    errors = (mean_square(each.fit, dataset.held_out) for each in (found.final, model))
+    before, after = (mean_square(each.fit, dataset.held_out) for each in (found.final, model))
     shown = tuple(curves) or ((refused[0],) if refused else ())
     values = {name: float(x) for name, x in model.fit.values.items()} if curves else {}
     return answer.UnnamedTorque(
-        shown, bool(curves), *errors, case.model.output_unit, values, _reason(refused) if not curves else ""
+        shown, bool(curves), before, after, case.model.output_unit, values, _reason(refused) if not curves else ""
     )
 
 

@@ -42,7 +42,7 @@ DRAWN_MAPS = 3  # views that are drawn
 DRAWN_BARS = 9  # candidates of a round that are drawn
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOTE_LETTERS = 30  # letters of a note beside a bar
-NAME_WIDTH = 0.29  # part of the width of a figure for the names beside bars
+NAME_WIDTH = 0.31  # part of the width of a figure for the names beside bars
 PER_ROW = 2  # rounds beside each other
 
 

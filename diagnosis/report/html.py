@@ -74,15 +74,14 @@ class _Writer:
     def effects(self, effects: Iterable[Named]) -> str:
         """Return the table of named effects, a line for each parameter."""
         rows = []
-        for k, effect in enumerate(effects):
+        for effect in effects:
             known = self.known[effect.name]
             meaning = "" if known.description == known.title else f'<div class="sub">{escape(known.description)}</div>'
-            unit_said = f"nats ({NATS})" if k == 0 else "nats"
-            facts = f"gain {number(effect.gain, 3)} {unit_said}, p ≤ {number(effect.p, 2)}"
+            facts = f"gain {number(effect.gain, 3)} nats, p ≤ {number(effect.p, 2)}"
             first = f'{self.name(effect.name)}{meaning}<div class="sub">{facts}</div>'
             rows += self.parameters(effect.name, first, effect.parameters)
         text = table(("effect", "parameter", "value, 95 % interval", "unit"), rows) if rows else ""
-        return text + ('<p class="sub">p: probability of as much by chance.</p>' if rows else "")
+        return (f'<p class="sub">Gains in nats ({NATS}); p: probability of as much by chance.</p>' if rows else "") + text
 
     def parameters(self, name: str, first: str, parameters: Mapping[str, Estimate]) -> list[tuple[str, ...]]:
         meanings = {p.name: p.description for p in self.known[name].parameters}
