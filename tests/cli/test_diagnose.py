@@ -90,6 +90,14 @@ def test_whatever_it_finds_it_completed(call: Call, asked: dict[str, Any], tmp_p
     assert ("give --choose: bias, asymmetric_coulomb" in said) == (case == "tie")
 
 
+def test_it_says_why_nothing_was_filled(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
+    code, said, error = call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path, "--fill")
+    assert (code, error) == (0, "")
+    assert "No unnamed torque was added: nothing much is unexplained." in said.splitlines()
+    assert "nothing much is unexplained" in (tmp_path / "report.html").read_text()
+    assert "No unnamed torque" not in call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path)[1]
+
+
 def test_an_fmu_is_its_own_model_unless_there_is_one_beside_it(call: Call, asked: dict[str, Any], tmp_path: Path) -> None:
     assert call("diagnose", "--fmu", "p.fmu", "--data", "a.csv", "--out", tmp_path)[0] == 0
     assert asked["arguments"] == (Path("p.fmu"), "model in p.fmu", ["model in p.fmu", "a.csv"])

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.filling import unnamed_torque
@@ -143,3 +144,11 @@ def test_it_is_the_curve_through_its_values_and_constant_beyond(name):
         out, _ = native.run(1e-6, {"u": np.full(1, u)}, ["v"])
         seen.append((out[1, 0] - out[0, 0]) / 1e-6 - 2.0 * u)
     assert seen == pytest.approx([0.0, 0.0, 0.16, 0.205, 1.44, 1.44], abs=1e-4)
+
+
+def test_it_can_be_asked_for_where_nothing_is_named_but_not_beside_a_choice(answer):
+    tie = replace(answer("tie"), remains=LEFT, unnamed=made_up())
+    assert augment(tie) is None
+    assert augment(tie, fill=True).added == ("unnamed_torque_v",)
+    with pytest.raises(BristleError, match="give --choose or --fill, not both"):
+        augment(tie, "bias", fill=True)
