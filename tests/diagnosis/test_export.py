@@ -256,7 +256,7 @@ def test_the_harness_runs_the_augmented_plant_in_place_of_the_old_one(answer, fa
         input={"column": "u", "kind": "voltage", "unit": "V"},
     )  # fmt: skip
     fitted = {"J": 0.001, "a2": 0.002, "b": 0.0065, "coulomb.Fc": 0.004}
-    bump = Named("cogging", "cogging", {"amplitude": Estimate(0.002, "N.m", None)}, 99.0, 0.001)
+    bump = Named("cogging", "cogging", {"amplitude": Estimate(0.0001, "N.m", None)}, 99.0, 0.001)
     diagnosis = replace(
         answer("named"), model=volts, effects=(bump,), parameters={name: Estimate(x, "1", None) for name, x in fitted.items()}
     )
