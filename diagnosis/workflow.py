@@ -14,10 +14,12 @@ from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
 from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
+from bristle.diagnosis.experiment.design import design
 from bristle.diagnosis.filling import unnamed_torque, with_unnamed_torque
 from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
 from bristle.diagnosis.report import result as answer
+from bristle.diagnosis.report.experiment import designed_line
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
 from bristle.diagnosis.selection.stepwise import SearchOutcome, search
 from bristle.diagnosis.whole.refit import refit_to_whole_records
@@ -26,6 +28,7 @@ from bristle.records.record import Record
 
 SEARCH_SHARE = 0.6  # of a time budget: after it no further effect is tried
 REFIT_SHARE = 0.8  # of a time budget: after it parameters are not refitted to whole records
+DESIGN_SHARE = 0.9  # of a time budget: after it no experiment is designed
 
 
 def diagnose(
@@ -105,8 +108,11 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         more = prepared.additions(found)
         more = replace(more, findings_after=(*more.findings_after, *_cut_short(outcome, options, refit=in_time)))
         unnamed = unnamed_torque(prepared.case, found) if time.perf_counter() < started + REFIT_SHARE * options.budget else None
-        diagnosis = as_diagnosis(prepared.case, refitted, whole, more)
-        return replace(with_unnamed_torque(diagnosis, unnamed), seconds=time.perf_counter() - started)
+        tell("what to measure next", 0.95)
+        designed = design(prepared.case, found, options) if time.perf_counter() < started + DESIGN_SHARE * options.budget else None
+        said = with_unnamed_torque(as_diagnosis(prepared.case, refitted, whole, more), unnamed)
+        text = " ".join(filter(None, (said.experiment, designed_line(designed, prepared.case.model))))
+        return replace(said, experiment=text, designed=designed, seconds=time.perf_counter() - started)
 
 
 def _cut_short(outcome: SearchOutcome, options: SearchOptions, refit: bool) -> list[str]:

@@ -452,3 +452,15 @@ EXPORT void truth_replay(const Plant *p, double at0, long count, long length, co
         }
     }
 }
+
+/* Open loop: the input u is played back under a disturbance w; the encoder rounds down. */
+EXPORT void truth_play(const Plant *p, double resolution, double at0, long n, const double *u, const double *w,
+                       const double *start, double *y)
+{
+    double x[STATES];
+    for (int i = 0; i < STATES; i++) x[i] = start[i];
+    for (long k = 0; k < n; k++) {
+        y[k] = resolution * floor(shown(p, x) / resolution);
+        if (k < n - 1) period(p, x, at0, k, u, w);
+    }
+}

@@ -135,3 +135,15 @@ def replay(plant: Mapping[str, float], record: Record, first: NDArray[np.int64],
         *(_pointer(array) for array in (first, record.u, states, out)),
     )
     return out
+
+
+def play(plant: Mapping[str, float], start: float, u: Array, noise: Array, place: float) -> Array:
+    """Return what the encoder shows (samples,) while an input is played back in open loop, from rest at a place."""
+    u, noise, begin = np.ascontiguousarray(u), np.ascontiguousarray(noise), np.zeros(state_count())
+    begin[0] = begin[4] = place
+    theta = np.empty(u.size)
+    library().truth_play(
+        ctypes.byref(struct(Plant, {"step": STEP, **plant})), ctypes.c_double(RESOLUTION), ctypes.c_double(start),
+        ctypes.c_long(u.size), *(_pointer(array) for array in (u, noise, begin, theta)),
+    )  # fmt: skip
+    return theta

@@ -69,6 +69,7 @@ class Simulator:
         self, law: str, effects: Sequence[str], segments: Segments, base: Sequence[str], fixed: Mapping[str, float]
     ) -> None:
         self.segments, self.effects = segments, tuple(effects)
+        self._made_from = law, tuple(effects), tuple(base), dict(fixed)
         self.play = play_parameter(effects)
         self.width = len(START_STATES) + (len(LOAD_STATES) if self.play else 0)
         self._native = _compiled(law, tuple(sorted(effects)), segments.velocity, tuple(base))
@@ -92,6 +93,11 @@ class Simulator:
         self._lag = len(self.names) + len(START_STATES) + np.arange(len(pairs), dtype=np.int32)
         self._input = np.array([program.index["u"]], dtype=np.int32)
         self._observed = program.index["v" if segments.velocity else "theta"]
+
+    def over(self, segments: Segments) -> Simulator:
+        """Return the same over other segments of the same sampling period and output."""
+        law, effects, base, fixed = self._made_from
+        return Simulator(law, effects, segments, base, fixed)
 
     def finer(self) -> Simulator:
         """Return the same with half the step of dry friction and a tenth of the tolerance."""

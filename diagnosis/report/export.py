@@ -16,13 +16,13 @@ from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
 from bristle.diagnosis.report.figures import draw
 from bristle.diagnosis.report.html import render
-from bristle.diagnosis.report.result import Diagnosis, Estimate, UnnamedTorque
+from bristle.diagnosis.report.result import EXPERIMENT_FILE, DesignedInput, Diagnosis, Estimate, UnnamedTorque
 from bristle.fmus.build import build, program_files
 from bristle.fmus.pack import write_archive
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import ENCODER_COUNTS
 
-WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu")
+WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu", EXPERIMENT_FILE)
 
 
 @dataclass(frozen=True)
@@ -156,6 +156,9 @@ def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[s
     package.content["diagnosis.json"] = to_json(diagnosis.to_dict() | chosen | {"provenance": made}).encode()
     if augmented is not None:
         _add_models(package, augmented, fmi)
+    if diagnosis.designed is not None and diagnosis.designed.written:
+        package.content[EXPERIMENT_FILE] = _table(diagnosis.designed).encode()
+        package.meaning[EXPERIMENT_FILE] = "input to play back in open loop: a record that tells apart what these do not"
     page = render(diagnosis, draw(diagnosis), package.meaning, package.notes, choose)
     package.content["report.html"] = page.encode()
     return package
@@ -168,6 +171,12 @@ def nothing_filled(diagnosis: Diagnosis) -> str:
     else:
         why = "it was not looked for" if diagnosis.remains.flag else "nothing much is unexplained"
     return f"No unnamed {diagnosis.model.wording.torque} was added: {why}."
+
+
+def _table(designed: DesignedInput) -> str:
+    """Return a designed input as the content of a CSV file."""
+    lines = [",".join(designed.columns), *(f"{t:.9g},{u:.9g}" for t, u in zip(designed.time, designed.u, strict=True))]
+    return "\n".join(lines) + "\n"
 
 
 def _add_models(package: _Package, augmented: Augmented, fmi: int) -> None:

@@ -17,6 +17,7 @@ from bristle.diagnosis.localisation.views import View as View
 from bristle.diagnosis.modelfile import Model
 
 Array = NDArray[np.float64]
+EXPERIMENT_FILE = "experiment.csv"  # holds the input of a record that would tell rivals apart
 
 
 @dataclass(frozen=True)
@@ -170,6 +171,33 @@ class WholeRecords:
 
 
 @dataclass(frozen=True)
+class DesignedInput:
+    """The input of a record that would tell rivals apart; where none does, `time` and `u` are empty and `gain` is the best.
+
+    `gain` is by how much the records are expected to decide between the two rivals that are hardest to tell apart [nats].
+    """
+
+    rivals: tuple[str, ...]  # effects; empty text: none
+    gain: float
+    level: float  # gain from which on they count as told apart [nats]
+    what: str  # the kind of motion, in words
+    unit: str  # of the input in the file, as in the records
+    low: float  # least and largest input, and its rms [unit]
+    high: float
+    rms: float
+    start: float  # position at which it begins, at rest, and ends of the positions that are expected (SI)
+    reach: tuple[float, float]
+    columns: tuple[str, str]  # of the file: time [s] and input [unit]
+    time: Array
+    u: Array
+
+    @property
+    def written(self) -> bool:
+        """True if it would tell the rivals apart, and is written to a file."""
+        return len(self.u) > 0
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result of a diagnosis; `to_dict` gives the content of diagnosis.json.
 
@@ -212,6 +240,8 @@ class Diagnosis:
         How long it took [s].
     choices, choice_parameters : dict of str to dict of str to Estimate
         Of each member of a tie, as if it had been named: its parameters, and those of the model beside it.
+    designed : DesignedInput or None
+        The input of a record that would tell apart what these records do not; None where there is nothing to tell apart.
     whole : WholeRecords or None
         Errors of whole records in open loop, before and after; None if nothing was searched.
     unnamed : UnnamedTorque or None
@@ -240,6 +270,7 @@ class Diagnosis:
     choice_parameters: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     whole: WholeRecords | None = None
     unnamed: UnnamedTorque | None = None
+    designed: DesignedInput | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json holds: plain numbers, lists and text, no NaN."""
@@ -253,6 +284,7 @@ class Diagnosis:
                 ],
                 "ties": [list(t) for t in self.ties],
                 "experiment": self.experiment,
+                "experiment_input": _designed(self.designed) if self.designed else None,
                 "where": [
                     {"view": w.view, "share": w.share, "p": w.p, "share_after": w.share_after, "p_after": w.p_after}
                     for w in self.where
@@ -283,6 +315,17 @@ def _unnamed(found: UnnamedTorque) -> dict[str, Any]:
         "offered": found.offered, "reason": found.reason, "share": found.share, "rms_before": math.sqrt(found.before),
         "rms_after": math.sqrt(found.after), "functions": curves,
     }  # fmt: skip
+
+
+def _designed(found: DesignedInput) -> dict[str, Any]:
+    said = {
+        "file": EXPERIMENT_FILE if found.written else None, "rivals": list(found.rivals), "gain": found.gain, "level": found.level,
+    }  # fmt: skip
+    if not found.written:
+        return said
+    ends = {"input_unit": found.unit, "input_low": found.low, "input_high": found.high, "input_rms": found.rms}
+    place = {"start": found.start, "position_low": found.reach[0], "position_high": found.reach[1]}
+    return {**said, "motion": found.what, "seconds": float(found.time[-1] - found.time[0]), **ends, **place}
 
 
 def _whole(found: WholeRecords) -> dict[str, Any]:

@@ -160,11 +160,11 @@ def evidence_of(dataset: Dataset, fit: Fit, response: ResidualResponse) -> Evide
     m, values = dataset.motion, fit.values
     return Evidence(
         m.theta, m.v * m.moving, m.a, m.u, m.time, fit.simulator.segments.h, dataset.resolution, values["J"],
-        _dry_friction(fit.free, values, m.u), values["b"], response.regress, dataset.turn,
+        dry_friction(fit.free, values, m.u), values["b"], response.regress, dataset.turn,
     )  # fmt: skip
 
 
-def _dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
+def dry_friction(free: tuple[Free, ...], values: Mapping[str, float], u: Array) -> float:
     """Return the dry friction of a model [N.m], or `NO_FRICTION_SHARE` of the mean torque where it has none."""
     level = next((values[f.name] for f in free if f.name.endswith(".Fc")), 0.0)
     return level or NO_FRICTION_SHARE * float(np.mean(np.abs(values["b"] * u)))
@@ -254,6 +254,6 @@ def _balance_evidence(context: SearchContext, model: BalancedModel, balance: Bal
     _, own = balance.evaluate(model.servo.law, model.servo.effects, model.free, values)
     return Evidence(
         m.theta, m.v * m.moving, m.a, m.u, m.time, balance.step, context.dataset.resolution, values["J"],
-        _dry_friction(model.free, values, m.u), values["b"],
+        dry_friction(model.free, values, m.u), values["b"],
         lambda torques: balance.regress(found, own, values["J"], torques), context.dataset.turn,
     )  # fmt: skip

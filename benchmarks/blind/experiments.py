@@ -1,0 +1,116 @@
+"""Does the experiment that a diagnosis proposes resolve its ties? Poorly excited cases, their experiment played on the true servo.
+
+    python benchmarks/blind/run.py generate --seed experiment --scale 0.1 --only poor --out DIR
+    python benchmarks/blind/experiments.py --out DIR [--jobs 2] [--publish]
+
+Each case is diagnosed; the input of its experiment.csv is played back in open loop on the servo that gave the records, with its
+hidden effect, a disturbance of the same size and its encoder; the records and the new one are diagnosed together. An interrupted
+run continues with the cases that are missing. `--publish` writes benchmarks/results/experiments.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from run import ROOT, go_on
+from scene import NOISE
+from score import Judged
+from shared import write_json
+from truth import base_friction, disturbance, library, play
+
+from bristle.common.arguments import filled_path
+
+PUBLISHED = ROOT / "benchmarks" / "results" / "experiments.md"
+SESSION_TIME = 60.0  # s: when the experiment begins; the records end at 45 s
+KEYS = ("verdict", "effects", "ties", "experiment", "experiment_input", "remains", "seconds")
+Json = dict[str, Any]
+
+
+def try_one(folder: Path, answer: Path, target: Path) -> None:
+    """Diagnose a case, do its experiment, and diagnose the records with the new one."""
+    from bristle.common.errors import BristleError
+    from bristle.diagnosis import diagnose, load_model, load_records
+
+    truth = json.loads(answer.read_text(encoding="utf-8"))
+    model = load_model(folder / "model.toml")
+    files = [folder / "a.npz", folder / "b.npz"]
+    found = diagnose(model, load_records(model, files))
+    kept: Json = {"answer": truth, "before": {key: found.to_dict()[key] for key in KEYS}}
+    given = found.designed
+    if given is not None and given.written:
+        base = truth["base"]
+        plant = {**base, **base_friction(base["J"], base["Fc"]), **truth["fields"]}
+        rng = np.random.default_rng(truth["case"])
+        noise = disturbance(rng, given.u.size + 1, NOISE * base["Fc"])
+        theta = play(plant, SESSION_TIME, given.u, noise, given.start)
+        new = target.with_suffix(".npz")
+        np.savez_compressed(new, t=SESSION_TIME + given.time, u=given.u, theta=theta)
+        moved = np.concatenate([np.load(f)["theta"] for f in files])
+        kept["over_range"] = float(max(moved.min() - theta.min(), theta.max() - moved.max(), 0.0) / np.ptp(moved))
+        try:
+            after = diagnose(model, load_records(model, [*files, new])).to_dict()
+        except BristleError as error:
+            after = {"verdict": "error", "effects": [], "ties": [], "error": str(error)}
+        kept["after"] = {key: after.get(key) for key in KEYS}
+    write_json(target, kept)
+
+
+def rows(out: Path) -> list[Json]:
+    """Return what has been tried."""
+    return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((out / "experiments").glob("*.json"))]
+
+
+def table(tried: list[Json]) -> str:
+    """Return the counts and a row a case as markdown."""
+    lines = ["| verdict before | cases | with an experiment | named right after it | tie or no name | named wrong |"]
+    lines += ["|---|---|---|---|---|---|"]
+    for verdict in ("tie", "not_identifiable", "named"):
+        own = [each for each in tried if each["before"]["verdict"] == verdict and each["before"]["experiment_input"]]
+        done = [Judged(each["answer"], each["after"]).outcome for each in own if "after" in each]
+        right, wrong = done.count("right"), done.count("wrong")
+        lines.append(f"| `{verdict}` | {len(own)} | {len(done)} | {right} | {len(done) - right - wrong} | {wrong} |")
+    lines += ["", "| case | hidden | gap ratio | before | gain [nats] | after | beyond the range |"]
+    lines += ["|---|---|---|---|---|---|---|"]
+    for each in tried:
+        answer, before, after = each["answer"], each["before"], each.get("after")
+        hidden = ", ".join(effect["name"] for effect in answer["effects"])
+        given = before["experiment_input"]
+        gain = f"{given['gain']:.3g}" if given else "-"
+        over = f"{100 * each['over_range']:.0f} %" if "over_range" in each else "-"
+        ends = [said(before), gain, said(after) if after else "-", over]
+        lines.append(f"| {answer['case']} ({answer['style']}) | {hidden} | {answer['gap']['ratio']:.2f} | {' | '.join(ends)} |")
+    return "\n".join(lines)
+
+
+def said(result: Json) -> str:
+    """Return a verdict with its names."""
+    names = [effect["name"] for effect in result["effects"]] or [" / ".join(tie) for tie in result["ties"]]
+    return f"{result['verdict']} {', '.join(names)}".strip()
+
+
+def main() -> None:
+    """Try the experiments of all cases of a folder."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=filled_path, required=True)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--publish", action="store_true")
+    given = parser.parse_args()
+    (given.out / "experiments").mkdir(exist_ok=True)
+    library()  # compiled once, before the workers start
+    ready = sorted((given.out / "answers").glob("*.json"))
+    calls = [(given.out / "cases" / path.stem, path, given.out / "experiments" / path.name) for path in ready]
+    go_on(try_one, calls, given.jobs, "experiments")
+    text = table(rows(given.out))
+    print(text)
+    if given.publish:
+        command = "python benchmarks/blind/experiments.py --publish --out DIR"
+        PUBLISHED.write_text(f"# Experiments that a diagnosis proposes\n\n`{command}`\n\n{text}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

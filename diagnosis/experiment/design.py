@@ -1,0 +1,162 @@
+"""Choose the input of a further record that tells apart the effects that these records do not distinguish."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+
+from bristle.common.metrics import rms
+from bristle.common.table import Array, factor_to
+from bristle.diagnosis.conclusion import Case, Conclusion
+from bristle.diagnosis.estimation.fitted_model import TIE_NATS
+from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
+from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.report.result import DesignedInput
+from bristle.diagnosis.selection.criterion import SearchRound, group
+from bristle.diagnosis.selection.start_values import SearchOptions, dry_friction
+
+EXPERIMENT_SECONDS = 20.0  # s: length of the record
+MOST_RIVALS = 4  # models that an input is to tell apart at most
+CLOSEST = 2  # of the effects that were tried, if none was above chance: those that are told from no effect
+MARGIN = 0.05  # of the range that was travelled: distance from its ends that a motion is to keep
+DISTURBANCES = 2  # disturbances under which each model is to keep it
+
+
+@dataclass(frozen=True)
+class _Design:
+    """What an input is chosen for: rivals, limits, and how it will be recorded."""
+
+    rivals: tuple[Rival, ...]
+    limits: Limits
+    setup: Setup
+
+    @property
+    def pairs(self) -> list[tuple[Rival, Rival]]:
+        """Pairs that are to be told apart, both ways: those of different classes, if there are several."""
+        found = list(permutations(self.rivals, 2))
+        apart = [(a, b) for a, b in found if _class_of(a) != _class_of(b)]
+        return apart or found
+
+    def outputs(self, u: Array) -> list[Array] | None:
+        """Return the outputs of the rivals, or None if an input or the motion leaves the limits with one of them."""
+        if not self.limits.allow_input(u):
+            return None
+        found = []
+        for rival in self.rivals:
+            y = self._kept(rival, u)
+            rng = np.random.default_rng(0)
+            fit, h = rival.fit, self.setup.grid.h
+            shaken = [disturbed(u, fit.noise, fit.values["b"], h, rng) for _ in range(DISTURBANCES)]
+            if y is None or any(self._kept(rival, each) is None for each in shaken):
+                return None
+            found.append(y)
+        return found
+
+    def _kept(self, rival: Rival, u: Array) -> Array | None:
+        """Return the output of a rival if its motion keeps to the limits."""
+        y = rival.output(u, self.setup)
+        return y if y is not None and self.limits.allow_motion(self.setup.positions(y), MARGIN) else None
+
+    def follow(self, at: float, u: Array) -> float:
+        """Return where the last rival is after an input (n,) that begins at rest at a position."""
+        setup = replace(self.setup, start=at)
+        y = self.rivals[-1].output(u, setup)
+        return at if y is None else float(setup.positions(y)[-1])
+
+    def tried(self, given: Input) -> _Trial | None:
+        """Return the first level of an input that keeps to the limits, with its gain; None if no level does."""
+        for u in given.levels:
+            outputs = self.outputs(u)
+            if outputs is not None:
+                of = dict(zip((rival.name for rival in self.rivals), outputs, strict=True))
+                return _Trial(given.what, u, tuple(outputs), min(lead(of[a.name], u, b, self.setup) for a, b in self.pairs))
+        return None
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """An input with the outputs of the rivals and its gain [nats]."""
+
+    what: str
+    u: Array
+    outputs: tuple[Array, ...]
+    gain: float
+
+
+def _class_of(rival: Rival) -> str:
+    return group(rival.name) if rival.name else ""
+
+
+def design(case: Case, found: Conclusion, options: SearchOptions) -> DesignedInput | None:
+    """Return the input that tells apart what a conclusion leaves open by most, or None if it leaves nothing open.
+
+    It keeps to the input, its rms and the positions of the records, also under disturbances as large as theirs.
+    """
+    rivals = tuple(rivals_of(case, found))
+    if len(rivals) < 2:
+        return None
+    s, m = case.dataset.segments, case.dataset.motion
+    n = s.bins * s.width * max(3, round(EXPERIMENT_SECONDS / s.seconds))
+    positions = (float(m.theta.min()), float(m.theta.max()))
+    usual = Limits((float(m.u.min()), float(m.u.max())), positions, max(rms(piece.u) for piece in s.pieces))
+    start = 0.0 if s.velocity else usual.middle
+    ends = max(piece.time + s.h * len(piece.u) for piece in s.pieces)
+    plan = _Design(rivals, usual, Setup(s, case.dataset.resolution, start, ends))
+    choice = inputs(_axis(rivals[0], m.u), usual, [piece.u for piece in s.pieces], (n, s.h), plan.follow)
+    trials = [trial for trial in options.map(plan.tried, choice) if trial is not None]
+    return _described(plan, case, max(trials, key=lambda trial: trial.gain, default=None))
+
+
+def _axis(rival: Rival, u: Array) -> Axis:
+    values = rival.fit.values
+    friction = dry_friction(rival.fit.free, values, u)
+    return Axis(values["J"], values.get("a2", 0.0), friction, values["b"])
+
+
+def rivals_of(case: Case, found: Conclusion) -> Iterator[Rival]:
+    """Give the models that explain the records alike: the members of a tie or class, or those next to no effect at all."""
+    if found.proposal or found.verdict == "none":
+        return
+    deciding = _deciding_round(found)
+    names = {*found.undecided} or ({deciding.best.name, *deciding.ties} if deciding.best and deciding.ties else set())
+    fitted = sorted((c for c in deciding.candidates if c.fit is not None), key=lambda c: -c.penalised_likelihood)
+    members = [c for c in fitted if c.name in names]
+    if found.verdict == "not_identifiable":
+        members = members or fitted[:CLOSEST]
+        yield Rival("", found.final.fit)
+    for c in members[: MOST_RIVALS - (found.verdict == "not_identifiable")]:
+        assert c.fit is not None
+        yield Rival(c.name, c.fit)
+
+
+def _deciding_round(found: Conclusion) -> SearchRound:
+    """Return the round whose candidates are compared: the last one, or the last that gave a name, if that is in a tie."""
+    if found.undecided or found.verdict != "named":
+        return found.rounds[-1]
+    return next((r for r in reversed(found.rounds) if r.named and r.ties), found.rounds[-1])
+
+
+def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
+    """Return what is reported of the best input, if there is one."""
+    column = case.model.input
+    factor = factor_to(column.unit, column.scale, case.model.input_unit)
+    gain = 0.0 if best is None else best.gain
+    told = best is not None and gain > TIE_NATS
+    u = best.u / factor if told and best is not None else np.empty(0)
+    time = plan.setup.grid.h * np.arange(len(u))
+    theta = np.concatenate([plan.setup.positions(y) for y in best.outputs]) if best else np.zeros(1)
+    ends = (float(u.min()), float(u.max()), rms(u)) if told else (math.nan, math.nan, math.nan)
+    return DesignedInput(
+        tuple(rival.name for rival in plan.rivals), gain, TIE_NATS, best.what if best else "", column.unit, *ends,
+        plan.setup.start, (float(theta.min()), float(theta.max())), _headings(case.model), time, u,
+    )  # fmt: skip
+
+
+def _headings(model: Model) -> tuple[str, str]:
+    """Return the columns of the file: as the records name them, with units."""
+    return f"{model.time.column} [s]", f"{model.input.column} [{model.input.unit}]"

@@ -1,0 +1,29 @@
+"""The sentence on the input that was designed to tell rivals apart."""
+
+from __future__ import annotations
+
+from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.report.result import EXPERIMENT_FILE, DesignedInput
+from bristle.diagnosis.report.text import NATS, effect_name, listed
+
+
+def designed_line(found: DesignedInput | None, model: Model) -> str:
+    """Return what to play back and what it is expected to tell, or that nothing within the limits would; empty for None."""
+    if found is None:
+        return ""
+    names = listed([effect_name(name, model.wording) if name else "no further effect" for name in found.rivals], "and")
+    if not found.written:
+        return (
+            f"No input was found that keeps to the range of input and position of these records and tells apart {names}: "
+            f"the best one is expected to bring {found.gain:.2g} nats, of {found.level:.2g} that are needed ({NATS}). "
+            "Widen the range, or the input."
+        )
+    unit = "" if found.unit == "1" else f" {found.unit}"
+    place = "m" if model.linear else "rad"
+    begin = "" if model.output_kind == "velocity" else f", from rest at {found.start:.4g} {place}"
+    return (
+        f"{EXPERIMENT_FILE} is such an input, to be played back in open loop{begin}: {found.what}, {found.time[-1]:.3g} s, from "
+        f"{found.low:.3g} to {found.high:.3g}{unit}, {found.rms:.3g}{unit} rms, within the input and position of these records. "
+        f"It is expected to tell apart {names} by {found.gain:.3g} nats or more ({NATS}). "
+        "Then diagnose the new record together with these."
+    )
