@@ -15,11 +15,11 @@ from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
 from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
 from bristle.diagnosis.experiment.design import design
+from bristle.diagnosis.experiment.sentence import designed_line
 from bristle.diagnosis.filling import unnamed_torque, with_unnamed_torque
 from bristle.diagnosis.modelfile import Model, must_be_model
 from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap, prepare_model
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.report.experiment import designed_line
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
 from bristle.diagnosis.selection.stepwise import SearchOutcome, search
 from bristle.diagnosis.whole.refit import refit_to_whole_records

@@ -11,6 +11,7 @@ import numpy as np
 
 from bristle.common.metrics import rms
 from bristle.common.table import Array, factor_to
+from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.conclusion import Case, Conclusion
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS
 from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
@@ -87,6 +88,13 @@ class _Trial:
     outputs: tuple[Array, ...]
     gain: float
 
+    def rank(self, case: Case) -> tuple[bool, bool, float]:
+        """Return what inputs are compared by: whether it decides, whether its motion is varied enough for a name, its gain."""
+        some, h = case.records[0], case.dataset.segments.h
+        record = replace(some, time=h * np.arange(len(self.u)), u=self.u, y=self.outputs[0], velocity=None)
+        decides = self.gain > TIE_NATS
+        return decides, decides and not excitation(case.model, [record])["narrow"], self.gain
+
 
 def _class_of(rival: Rival) -> str:
     return group(rival.name) if rival.name else ""
@@ -109,7 +117,7 @@ def design(case: Case, found: Conclusion, options: SearchOptions) -> DesignedInp
     plan = _Design(rivals, usual, Setup(s, case.dataset.resolution, start, ends))
     choice = inputs(_axis(rivals[0], m.u), usual, [piece.u for piece in s.pieces], (n, s.h), plan.follow)
     trials = [trial for trial in options.map(plan.tried, choice) if trial is not None]
-    return _described(plan, case, max(trials, key=lambda trial: trial.gain, default=None))
+    return _described(plan, case, max(trials, key=lambda trial: trial.rank(case), default=None))
 
 
 def _axis(rival: Rival, u: Array) -> Axis:
@@ -148,7 +156,7 @@ def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
     gain = 0.0 if best is None else best.gain
     told = best is not None and gain > TIE_NATS
     u = best.u / factor if told and best is not None else np.empty(0)
-    time = plan.setup.grid.h * np.arange(len(u))
+    time = np.asarray(plan.setup.grid.h * np.arange(len(u)), dtype=np.float64)
     theta = np.concatenate([plan.setup.positions(y) for y in best.outputs]) if best else np.zeros(1)
     ends = (float(u.min()), float(u.max()), rms(u)) if told else (math.nan, math.nan, math.nan)
     return DesignedInput(

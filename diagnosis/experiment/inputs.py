@@ -15,7 +15,7 @@ from bristle.common.metrics import rms
 from bristle.common.table import Array
 
 DRAWS = 24  # inputs of random steps to choose from
-LEVELS = (1.0, 0.8, 0.6, 0.4)  # of ramps and recorded inputs: the first at which the motion keeps to the limits is taken
+INPUT_LEVELS = (1.0, 0.8, 0.6, 0.4)  # of ramps and recorded inputs: the first at which the motion keeps to the limits is taken
 USED_RANGE = (0.3, 0.85)  # of the range that was travelled: what steps are planned in
 USED_TORQUE = (0.3, 0.95)  # of what the input gives beyond friction: what steps are planned with
 ACCELERATING = 0.75  # of that: what accelerates; the rest is for viscous friction
@@ -153,11 +153,11 @@ def inputs(axis: Axis, limits: Limits, recorded: Sequence[Array], samples: tuple
         plan = planned(rng, axis, limits, spare, h)
         found.append(Input("steps of many sizes with rests, ramps and sweeps", (steps(rng, axis, plan, n, follow),)))
     if axis.friction > 0:
-        found.append(Input("slow ramps of the input through zero", tuple(level * ramps(axis, n, h) for level in LEVELS)))
+        found.append(Input("slow ramps of the input through zero", tuple(level * ramps(axis, n, h) for level in INPUT_LEVELS)))
     for u in recorded:
         quick = np.interp(QUICKER * np.arange(int(len(u) / QUICKER)), np.arange(len(u)), u)
-        found.append(Input("a recorded input", tuple(level * np.resize(u, n) for level in LEVELS)))
-        found.append(Input("a recorded input, quickened", tuple(level * np.resize(quick, n) for level in LEVELS)))
+        found.append(Input("a recorded input", tuple(level * np.resize(u, n) for level in INPUT_LEVELS)))
+        found.append(Input("a recorded input, quickened", tuple(level * np.resize(quick, n) for level in INPUT_LEVELS)))
     return found
 
 

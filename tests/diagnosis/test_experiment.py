@@ -1,0 +1,166 @@
+"""The input that tells rivals apart: within the limits of the records, and as far as it is expected to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bristle.diagnosis.estimation.dataset import cut
+from bristle.diagnosis.estimation.likelihood import Problem, evaluate
+from bristle.diagnosis.estimation.simulator import free_parameters
+from bristle.diagnosis.experiment.design import MARGIN, _Design
+from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
+from bristle.diagnosis.experiment.inputs import Axis, Limits, inputs, move
+from bristle.diagnosis.experiment.sentence import designed_line
+from bristle.diagnosis.report.export import write
+from bristle.diagnosis.report.result import DesignedInput, Diagnosis
+
+H = 1e-3
+SAMPLES = 8000
+LIMITS = Limits((-0.5, 0.5), (-2.0, 2.0), 0.3)
+AXIS = Axis(0.01, 0.02, 0.12, 1.0)
+
+
+def rival(case: Any, name: str, **own: float) -> Rival:
+    """Return a rival with an effect of given parameters, all else as in the base fit of a case."""
+    base = case.base
+    values = base.fit.values | {f"{name}.{key}": x for key, x in own.items()}
+    free = (*base.servo.free, *free_parameters(name, own, {}))
+    point = replace(base.fit.at(values=values).fixed(), simulator=base.servo.simulator(case.dataset.segments, (name,)), free=free)
+    return Rival(name, evaluate(base.problem, point))
+
+
+@pytest.fixture(scope="module")
+def setup(case: Callable[..., Any]) -> Setup:
+    """Records as those of the case of a bias."""
+    dataset = case("bias").dataset
+    return Setup(dataset.segments, dataset.resolution, 0.0, 50.0)
+
+
+def sines(size: float) -> np.ndarray:
+    """An input that moves the servo to and fro."""
+    t = H * np.arange(SAMPLES)
+    return size * (np.sin(2 * np.pi * 0.7 * t) + 0.7 * np.sin(2 * np.pi * 4.3 * t))
+
+
+def test_a_step_goes_where_it_is_to_go_within_speed_and_acceleration() -> None:
+    path = move(-1.5, 3.0, 20.0, H)
+    v = np.gradient(path, H)
+    assert path[-1] == pytest.approx(-1.5)
+    assert np.abs(v).max() <= 3.0 * 1.001
+    assert np.abs(np.gradient(v, H)).max() <= 20.0 * 1.02
+    assert len(move(-1.5, 300.0, 20.0, H)) < len(path)
+
+
+def test_inputs_are_the_same_each_time_and_begin_each_step_where_the_last_one_ended() -> None:
+    asked = []
+
+    def follow(at: float, u: np.ndarray) -> float:
+        asked.append(at)
+        return at + 0.3  # a servo that drifts: steps must lead back
+
+    first, again = (inputs(AXIS, LIMITS, [sines(0.2)], (SAMPLES, H), follow) for _ in range(2))
+    assert all(np.array_equal(a, b) for x, y in zip(first, again, strict=True) for a, b in zip(x.levels, y.levels, strict=True))
+    assert all(len(u) == SAMPLES for each in first for u in each.levels)
+    assert 0.3 in asked
+
+
+def test_limits_are_those_of_input_rms_and_position() -> None:
+    assert LIMITS.allow_input(np.array([0.4, -0.1, 0.0, 0.0]))
+    assert not LIMITS.allow_input(np.array([0.51, 0.0, 0.0, 0.0]))
+    assert not LIMITS.allow_input(np.array([0.4, -0.4, 0.4, -0.4]))  # its rms
+    assert LIMITS.allow_motion(np.array([-1.7, 1.7]), 0.05)
+    assert not LIMITS.allow_motion(np.array([-1.7, 1.9]), 0.05)
+
+
+def test_a_model_does_not_lead_itself_and_a_lag_shows_in_fast_inputs(case: Callable[..., Any], setup: Setup) -> None:
+    bias, late = rival(case("bias"), "bias", torque=0.05), rival(case("bias"), "input_delay", delay=0.01)
+    leads = {}
+    for size in (0.0, 0.3):
+        u = sines(size)
+        of = {each.name: each.output(u, setup) for each in (bias, late)}
+        leads[size] = lead(of["bias"], u, bias, setup), lead(of["input_delay"], u, bias, setup)
+    assert leads[0.3][0] < 3.0  # bristles begin each segment at rest
+    assert leads[0.0][1] < 3.0 < 30.0 < leads[0.3][1]
+
+
+def test_the_lead_is_about_what_a_record_then_gives(case: Callable[..., Any], setup: Setup) -> None:
+    """Against the likelihoods of both models, the wrong one refitted to nothing, on a simulated record with its disturbance."""
+    truth, other = rival(case("bias"), "bias", torque=0.05), rival(case("bias"), "input_delay", delay=0.01)
+    u, fit = sines(0.25), truth.fit
+    y = truth.output(disturbed(u, fit.noise, 1.0, H, np.random.default_rng(3)), setup)
+    clean = truth.output(u, setup)
+    assert y is not None
+    assert clean is not None
+
+    def likelihood(each: Rival) -> float:
+        g = setup.grid
+        piece = cut("new", setup.time, u, y, g, setup.resolution)
+        segments = type(case("bias").dataset.segments)(g.h, g.width, g.bins, g.velocity, (piece,))
+        problem = Problem.of(segments, each.fit.noise, segments.counted)
+        point = replace(each.fit.at(initial=piece.initial), simulator=each.fit.simulator.over(segments))
+        return float(evaluate(problem, point).score.sum())
+
+    stiff = replace(other.fit, information=1e12 * np.eye(len(other.fit.free)))  # parameters that may not move
+    expected, found = lead(clean, u, Rival(other.name, stiff), setup), likelihood(truth) - likelihood(other)
+    assert 0.5 * expected < found < 2.0 * expected
+
+
+def test_what_leaves_the_limits_with_a_rival_is_not_taken(case: Callable[..., Any], setup: Setup) -> None:
+    rivals = rival(case("bias"), "bias", torque=0.05), rival(case("bias"), "input_delay", delay=0.01)
+    u = sines(0.2)
+    y = rivals[0].output(u, setup)
+    assert y is not None
+    half = 1.6 * float(np.abs(y).max()) + 1.0
+    wide = _Design(rivals, Limits((-0.5, 0.5), (-half, half), 0.5), setup)
+    tight = replace(wide, limits=replace(wide.limits, theta=(y.min() + 2 * MARGIN, y.max())))
+    assert wide.outputs(u) is not None
+    assert tight.outputs(u) is None
+    assert replace(wide, limits=replace(wide.limits, u=(-0.1, 0.5))).outputs(u) is None
+
+
+def test_pairs_of_one_class_count_only_among_themselves(case: Callable[..., Any], setup: Setup) -> None:
+    bias, late, pole = (Rival(name, case("bias").base.fit) for name in ("bias", "input_delay", "electrical_pole"))
+    assert {(a.name, b.name) for a, b in _Design((late, pole), LIMITS, setup).pairs} == {
+        ("input_delay", "electrical_pole"), ("electrical_pole", "input_delay"),
+    }  # fmt: skip
+    pairs = [{a.name, b.name} for a, b in _Design((bias, late, pole), LIMITS, setup).pairs]
+    assert {"input_delay", "electrical_pole"} not in pairs
+    assert len(pairs) == 4
+
+
+# -- what is written and said ----------------------------------------------------------------------------------------------
+def made(**other: Any) -> DesignedInput:
+    """Return a designed input."""
+    u = 0.1 * np.sin(np.arange(50))
+    found = DesignedInput(
+        ("bias", "gravity"), 42.0, 6.0, "steps", "N.m", -0.1, 0.1, 0.07, 0.5, (0.1, 0.9), ("t [s]", "u [N.m]"), H * np.arange(50), u
+    )
+    return replace(found, **other)
+
+
+def test_the_file_holds_time_and_input_and_goes_with_the_next_answer(answer: Callable[[str], Diagnosis], tmp_path: Path) -> None:
+    found = replace(answer("tie"), designed=made())
+    assert tmp_path / "experiment.csv" in write(found, tmp_path)
+    table = np.loadtxt(tmp_path / "experiment.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table, np.column_stack([found.designed.time, found.designed.u]), atol=1e-9)
+    assert found.to_dict()["experiment_input"]["file"] == "experiment.csv"
+    write(answer("tie"), tmp_path)
+    assert not (tmp_path / "experiment.csv").exists()
+
+
+def test_the_sentence_says_file_rivals_gain_and_open_loop_or_that_there_is_none(answer: Callable[[str], Diagnosis]) -> None:
+    model = answer("tie").model
+    text = designed_line(made(), model)
+    assert all(word in text for word in ("experiment.csv", "open loop", "bias", "gravity", "42 nats", "0.07 N.m rms"))
+    none = made(time=np.empty(0), u=np.empty(0), gain=2.5)
+    assert "No input was found" in designed_line(none, model)
+    assert replace(answer("tie"), designed=none).to_dict()["experiment_input"] == {
+        "file": None, "rivals": ["bias", "gravity"], "gain": 2.5, "level": 6.0,
+    }  # fmt: skip
+    assert designed_line(None, model) == ""
