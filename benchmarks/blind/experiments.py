@@ -1,7 +1,7 @@
 """Does the experiment that a diagnosis proposes resolve its ties? Poorly excited cases, their experiment played on the true servo.
 
     python benchmarks/blind/run.py generate --seed experiment --scale 0.1 --only poor --out DIR
-    python benchmarks/blind/experiments.py --out DIR [--jobs 2] [--publish]
+    python benchmarks/blind/experiments.py --out DIR [--jobs 2] [--style sine] [--publish]
 
 Each case is diagnosed; the input of its experiment.csv is played back in open loop on the servo that gave the records, with its
 hidden effect, a disturbance of the same size and its encoder; the records and the new one are diagnosed together. An interrupted
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +59,11 @@ def try_one(folder: Path, answer: Path, target: Path) -> None:
     write_json(target, kept)
 
 
+def style_of(answer: Path) -> str:
+    """Return how the servo moves in the records of a case."""
+    return str(json.loads(answer.read_text(encoding="utf-8"))["style"])
+
+
 def rows(out: Path) -> list[Json]:
     """Return what has been tried."""
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((out / "experiments").glob("*.json"))]
@@ -98,19 +102,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=filled_path, required=True)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--style", choices=("sine", "slow"), help="of the records; both without it")
     parser.add_argument("--publish", action="store_true")
     given = parser.parse_args()
     (given.out / "experiments").mkdir(exist_ok=True)
     library()  # compiled once, before the workers start
-    ready = sorted((given.out / "answers").glob("*.json"))
+    ready = [path for path in sorted((given.out / "answers").glob("*.json")) if given.style in (None, style_of(path))]
     calls = [(given.out / "cases" / path.stem, path, given.out / "experiments" / path.name) for path in ready]
     go_on(try_one, calls, given.jobs, "experiments")
     text = table(rows(given.out))
     print(text)
     if given.publish:
-        command = "python benchmarks/blind/experiments.py --publish --out DIR"
-        PUBLISHED.write_text(f"# Experiments that a diagnosis proposes\n\n`{command}`\n\n{text}\n", encoding="utf-8")
+        plan = json.loads((given.out / "plan.json").read_text(encoding="utf-8"))
+        about = f"{__doc__}\nSeed {plan['seed']}, scale {plan['scale']:g}, records: {given.style or 'sine and slow'}."
+        PUBLISHED.write_text(f"# Experiments that a diagnosis proposes\n\n{about}\n\n{text}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -91,7 +91,8 @@ class _Trial:
     def rank(self, case: Case) -> tuple[bool, bool, float]:
         """Return what inputs are compared by: whether it decides, whether its motion is varied enough for a name, its gain."""
         some, h = case.records[0], case.dataset.segments.h
-        record = replace(some, time=h * np.arange(len(self.u)), u=self.u, y=self.outputs[0], velocity=None)
+        time = np.asarray(h * np.arange(len(self.u)), dtype=np.float64)
+        record = replace(some, time=time, u=self.u, y=self.outputs[0], velocity=None)
         decides = self.gain > TIE_NATS
         return decides, decides and not excitation(case.model, [record])["narrow"], self.gain
 
