@@ -96,3 +96,11 @@ def message() -> Callable[[Callable[[], Any]], str]:
         return text
 
     return call
+
+
+@pytest.fixture(autouse=True)
+def without_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print none, however long a command takes: tests look at the standard error for messages."""
+    from bristle.cli import main as cli
+
+    monkeypatch.setattr(cli, "SECONDS_BETWEEN_LINES", float("inf"))
