@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +98,11 @@ def message() -> Callable[[Callable[[], Any]], str]:
     return call
 
 
-@pytest.fixture(autouse=True)
-def without_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True, scope="session")
+def without_lines_of_progress() -> Iterator[None]:
     """Print none, however long a command takes: tests look at the standard error for messages."""
     from bristle.cli import main as cli
 
-    monkeypatch.setattr(cli, "SECONDS_BETWEEN_LINES", float("inf"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "SECONDS_BETWEEN_LINES", float("inf"))
+        yield
