@@ -52,7 +52,8 @@ class Plausibility:
 def check(model: Model, records: Sequence[Record]) -> Plausibility:
     """Compare what a regression on the records gives with the model's nominal values."""
     found = _regression(model, records)
-    if line := _unsigned(model, records, found):
+    line = _unsigned(model, records, found)
+    if line and not (found and _wrong_reading(model, records, found)):  # a position may keep its sign as well
         return Plausibility((line,), ())
     if found is None:
         return Plausibility((), ("too little motion to check signs and units",))
