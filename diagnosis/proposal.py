@@ -131,7 +131,7 @@ def propose(
     files = Files(tables, dict(units or {}))
     if unknown := [name for name in files.units if name not in files.names]:
         raise BristleError(
-            f"--unit '{unknown[0]}': is no column of numbers in every file; there are: {', '.join(files.names[:20])}"
+            f"unit of '{unknown[0]}': is no column of numbers in every file; there are: {', '.join(files.names[:20])}"
         )
     times = candidates(files, "time", asked.get("time"))
     taken = {role: name for role, name in asked.items() if role != "time"} | {"time": times[0].column.column}
@@ -219,9 +219,7 @@ def _readings(
             problem = problem or error
     if not readings:
         name = inputs[0].column.column
-        raise problem or BristleError(
-            f"'{name}' is the only column for input and output; name both with --input and --output COLUMN"
-        )
+        raise problem or BristleError(f"'{name}' is the only column for input and output; name the columns of both")
     return sorted(readings, key=lambda each: -each.best)
 
 
@@ -313,7 +311,7 @@ def _rough(reading: _Reading) -> tuple[dict[str, Rough], list[str]]:
             unit = own_unit(parameter, reading.layout.linear, reading.layout.input_kind)
             seen = f"{name} comes out at {rough[name].value:g} {unit}"
             allowed = interval(parameter.minimum, parameter.maximum)
-            raise BristleError(f"{seen}, allowed {allowed}; give the right units with --unit COLUMN=UNIT")
+            raise BristleError(f"{seen}, allowed {allowed}; give the right units of the columns")
     return rough, doubts
 
 

@@ -79,9 +79,9 @@ def next_command(found: Proposal, out: Path) -> str:
 def write_model(found: Proposal, out: Path, replace_it: bool = False) -> None:
     """Write the model file, whole or not at all; `BristleError` if it exists and is not to be replaced."""
     if out.suffix.lower() != ".toml":
-        raise BristleError(f"{out}: is no name of a model file; write for example --out model.toml")
+        raise BristleError(f"{out}: is no name of a model file; write for example model.toml")
     if out.is_dir() or (out.exists() and not replace_it):
-        raise BristleError(f"{out}: exists already; give --force to replace it, or --out with another name")
+        raise BristleError(f"{out}: exists already; give another name, or allow it to be replaced")
     text = model_text(found, next_command(found, out))
     Model.from_dict(tomllib.loads(text), out)
     with output_folder(out.parent):

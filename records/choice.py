@@ -117,7 +117,7 @@ def candidates(files: Files, role: str, asked: str | None, taken: Sequence[str] 
     names = [name for name in files.names if name not in taken]
     if asked is not None and asked not in names:
         why = "is another role's already" if asked in taken else f"is no column of numbers in every file{suggest(asked, names)}"
-        raise BristleError(f"--{role} '{asked}': {why}; there are: {_listed(names)}")
+        raise BristleError(f"{role} '{asked}': {why}; there are: {_listed(names)}")
     make = {"time": _times, "input": _inputs, "output": _outputs}[role]
     found = [each for each in make(files, asked) if each.column.column not in taken]
     if not found:

@@ -63,7 +63,9 @@ def augment(diagnosis: Diagnosis, choose: str | None = None, fill: bool = False)
 def _filled(diagnosis: Diagnosis, unnamed: UnnamedTorque, choose: str | None) -> Augmented:
     """Return the model with what was named and the unnamed torque; its parameters are those fitted beside that."""
     if choose is not None:
-        raise BristleError(f"chosen effect '{choose}': the unnamed torque was fitted without it; give --choose or --fill, not both")
+        raise BristleError(
+            f"chosen effect '{choose}': the unnamed torque was fitted without it; choose an effect or fill, not both"
+        )
     found = {e.name: e.parameters for e in diagnosis.effects}
     own = {
         **(diagnosis.parameters or diagnosis.base),

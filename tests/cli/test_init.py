@@ -46,7 +46,7 @@ def test_it_replaces_a_file_only_if_forced(call: Call, log: Path, tmp_path: Path
     out.write_text("mine")
     code, _, error = call("init", log, "--out", out)
     assert code == 2
-    assert error == f"bristle: {out}: exists already; give --force to replace it, or --out with another name\n"
+    assert error == f"bristle: {out}: exists already; give another name, or allow it to be replaced\n"
     assert out.read_text() == "mine"
     assert call("init", tmp_path / "*.csv", "--out", out, "--force")[0] == 0
     assert load_model(out).friction == "coulomb"
@@ -55,7 +55,7 @@ def test_it_replaces_a_file_only_if_forced(call: Call, log: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (["--input", "Strom"], "--input 'Strom': is no column of numbers in every file; there are: Moment [Nm], Winkel [rad]"),
+        (["--input", "Strom"], "input 'Strom': is no column of numbers in every file; there are: Moment [Nm], Winkel [rad]"),
         (["--unit", "rad"], "--unit 'rad': is not NAME=VALUE"),
         (["--unit", "Moment [Nm]=lbf"], "unit 'lbf' of 'Moment [Nm]' is not known"),
         (["--out", "model.csv"], "model.csv: is no name of a model file"),

@@ -187,10 +187,10 @@ def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
             "t,torque,angle",
             None,
             {"input": "torq"},
-            "--input 'torq': is no column of numbers in every file (did you mean 'torque'?)",
+            "input 'torq': is no column of numbers in every file (did you mean 'torque'?)",
         ),
-        ("t,torque,angle", None, {"input": "t"}, "--input 't': is another role's already"),
-        ("t,torque,angle", lambda t, u, y: (t, u, 0 * y + np.sin(t) * 1e-12), {}, "give the right units with --unit"),
+        ("t,torque,angle", None, {"input": "t"}, "input 't': is another role's already"),
+        ("t,torque,angle", lambda t, u, y: (t, u, 0 * y + np.sin(t) * 1e-12), {}, "give the right units of the columns"),
         ("t,torque,angle", lambda t, u, y: (t, u, RNG.standard_normal(len(t))), {}, "nothing moves"),
         ("t [s],torque,angle", lambda t, u, y: (t / 1e3, u, y), {}, "is [time] unit right"),
     ],
@@ -204,7 +204,7 @@ def test_where_nothing_can_be_proposed(header, change, asked, words, tmp_path):
 
 def test_units_of_no_column_and_no_unit(tmp_path):
     path = plain(tmp_path)
-    for units, words in (({"x": "m"}, "--unit 'x': is no column"), ({"u": "furlong"}, "unit 'furlong' of 'u' is not known")):
+    for units, words in (({"x": "m"}, "unit of 'x': is no column"), ({"u": "furlong"}, "unit 'furlong' of 'u' is not known")):
         with pytest.raises(BristleError, match=words):
             propose(path, units=units)
     with pytest.raises(BristleError, match="no record is given"):

@@ -150,5 +150,5 @@ def test_it_can_be_asked_for_where_nothing_is_named_but_not_beside_a_choice(answ
     tie = replace(answer("tie"), remains=LEFT, unnamed=made_up())
     assert augment(tie) is None
     assert augment(tie, fill=True).added == ("unnamed_torque_v",)
-    with pytest.raises(BristleError, match="give --choose or --fill, not both"):
+    with pytest.raises(BristleError, match="choose an effect or fill, not both"):
         augment(tie, "bias", fill=True)
