@@ -14,7 +14,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
+from functools import cache, partial
 from inspect import getsource
 from multiprocessing import get_context
 from pathlib import Path
@@ -33,7 +33,7 @@ from shared import write_json
 
 from bristle.common.cache import cache_folder, digest
 from bristle.common.errors import SimulationError
-from bristle.harness.metrics import SETTLING_BAND, settling
+from bristle.harness.metrics import settling
 from bristle.model.native import Native
 from bristle.model.normalised import OBSERVED
 from bristle.model.sources import fingerprint
@@ -80,21 +80,24 @@ def observe(method: str, condition: Condition, data: Record) -> Json:
     hats, valid = rows[:, :n], rows[:, 2 * n : 3 * n] > 0
     judged = [i for i, name in enumerate(names) if name in JUDGED]
     true = np.array([data.true[names[i]] for i in judged])
-    off = np.where(valid[:, judged], np.abs(hats[:, judged] / true - 1) * 100, np.inf).max(axis=1, initial=0.0)
-    second = (
-        settling(np.asarray(condition.period * np.arange(1, len(off) + 1), dtype=np.float64), off, SETTLING_BAND)
-        if judged
-        else math.nan
-    )
+    errors = np.abs(hats[:, judged] / true - 1) * 100
+    second = partial(_settled, np.asarray(condition.period * np.arange(1, len(errors) + 1), dtype=np.float64))
     return {
         "true": {name: data.true[name] for name in names},
         "final": dict(zip(names, hats[-1].tolist(), strict=True)),
         "sd": dict(zip(names, rows[-1, n : 2 * n].tolist(), strict=True)),
         "valid": dict(zip(names, valid[-1].tolist(), strict=True)),
-        "settled_s": second if math.isfinite(second) else None,
+        "settled_s": second(np.where(valid[:, judged], errors, np.inf)),
+        "settled_valid_or_not_s": second(errors),
         "innovation": float(rows[-1, 3 * n]),
         "changes": _changes(rows[:, -2], rows[:, -1]) if restarting else 0,
     }
+
+
+def _settled(time: Array, errors: Array) -> float | None:
+    """Return when the largest of the errors [%] at each time is within the band for good; none if never, or without an error."""
+    second = settling(time, errors.max(axis=1)) if errors.size else math.nan
+    return second if math.isfinite(second) else None
 
 
 def _changes(starts: Array, resumes: Array) -> int:
@@ -107,7 +110,7 @@ def _identity(method: str) -> str:
     """Return what identifies the equations of a method and what is made of its outputs."""
     if method == moving_horizon.NAME:
         return digest(getsource(moving_horizon))
-    return digest(*fingerprint(observer_program(method)), getsource(observe), getsource(_changes))
+    return digest(*fingerprint(observer_program(method)), *(getsource(each) for each in (observe, _settled, _changes)))
 
 
 def _path(method: str, condition: Condition, plant: str, seed: int) -> Path:
