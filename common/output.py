@@ -6,7 +6,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -75,6 +75,14 @@ def write_file(path: Path, content: bytes) -> None:
         stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def check_not_replaced(out: Path, names: Sequence[str], inputs: Iterable[Path]) -> None:
+    """Raise `BristleError` if a file of these names in `out` would take the place of an input."""
+    places = {(out / name).resolve() for name in names}
+    for path in inputs:
+        if path.resolve() in places:
+            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
 
 
 def check_no_folder(out: Path, names: Sequence[str]) -> None:

@@ -12,12 +12,18 @@ from bristle.common.toml import quoted
 from bristle.common.units import parse_unit
 from bristle.diagnosis.modelfile import Model, own_unit
 from bristle.diagnosis.proposal import Proposal
+from bristle.model.variables import Parameter
 from bristle.plant.friction import law
 from bristle.plant.servo import A2, B, J
 from bristle.records.choice import Candidate
 from bristle.records.layout import INPUT_UNITS
 
 WIDTH = 26  # letters before a comment
+
+
+def _declared() -> dict[str, Parameter]:
+    """Return the parameters of the proposed model."""
+    return {"J": J, "a2": A2, **{p.name.rpartition(".")[2]: p for p in law("coulomb").parameters}}
 
 
 def resolution_of(found: Proposal) -> tuple[float, str] | None:
@@ -35,8 +41,7 @@ def resolution_of(found: Proposal) -> tuple[float, str] | None:
 def model_text(found: Proposal, command: str) -> str:
     """Return the model file; `command` is what to do with it next."""
     linear, kind = found.output.linear, found.input.kind
-    declared = {"J": J, "a2": A2, "b": B, "Fc": next(p for p in law("coulomb").parameters if p.name.endswith(".Fc"))}
-    gain = kind in ("voltage", "current")
+    gain, declared = kind in ("voltage", "current"), _declared()
     lines = [
         f"# Proposed by bristle init from {', '.join(path.name for path in found.paths)}; check what is assumed:",
         *(f"#   - {line}" for line in found.doubts or ("nothing",)),
@@ -112,7 +117,7 @@ def summary(found: Proposal) -> list[str]:
         f"input   {_of(found.input)}, {found.input.kind}{_or(found, 'input')}",
         f"output  {_of(found.output)}, {found.output.kind}{steps}{_or(found, 'output')}",
     ]
-    units = {"J": J, "a2": A2, "Fc": next(p for p in law("coulomb").parameters if p.name.endswith(".Fc"))}
+    units = _declared()
     values = ", ".join(f"{n} {r.value:g} {own_unit(units[n], linear, found.input.kind)}" for n, r in found.rough.items())
     per = "" if found.input.kind in ("torque", "force") else f", for b = 1 {own_unit(B, linear, found.input.kind)}"
     lines.append(f"rough   {values}{per}; they explain {found.explained:.0%} of the input")

@@ -27,7 +27,7 @@ from bristle.records.clock import must_agree
 from bristle.records.record import Record
 
 SEARCH_SHARE = 0.6  # of a time budget: after it no further effect is tried
-REFIT_SHARE = 0.8  # of a time budget: after it parameters are not refitted to whole records
+REFIT_SHARE = 0.8  # of a time budget: after it parameters are not refitted to whole records, and no unnamed torque is fitted
 DESIGN_SHARE = 0.9  # of a time budget: after it no experiment is designed
 
 
@@ -91,6 +91,10 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
     """
     started = time.perf_counter()
     options = replace(options, deadline=started + SEARCH_SHARE * options.budget)
+
+    def within(share: float) -> bool:
+        return time.perf_counter() < started + share * options.budget
+
     with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
         while True:
             prepared = prepare(records)
@@ -103,13 +107,13 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         tell("residual", 0.85)
         found = conclude(prepared.case, outcome)
         tell("whole records", 0.9)
-        in_time = time.perf_counter() < started + REFIT_SHARE * options.budget
-        refitted, whole = refit_to_whole_records(prepared.case, found, refit=in_time)
+        refit = within(REFIT_SHARE)
+        refitted, whole = refit_to_whole_records(prepared.case, found, refit)
         more = prepared.additions(found)
-        more = replace(more, findings_after=(*more.findings_after, *_cut_short(outcome, options, refit=in_time)))
-        unnamed = unnamed_torque(prepared.case, found) if time.perf_counter() < started + REFIT_SHARE * options.budget else None
+        more = replace(more, findings_after=(*more.findings_after, *_cut_short(outcome, options, refit)))
+        unnamed = unnamed_torque(prepared.case, found) if within(REFIT_SHARE) else None
         tell("what to measure next", 0.95)
-        designed = design(prepared.case, found, options) if time.perf_counter() < started + DESIGN_SHARE * options.budget else None
+        designed = design(prepared.case, found, options) if within(DESIGN_SHARE) else None
         said = with_unnamed_torque(as_diagnosis(prepared.case, refitted, whole, more), unnamed)
         text = " ".join(filter(None, (said.experiment, designed_line(designed, prepared.case.model))))
         return replace(said, experiment=text, designed=designed, seconds=time.perf_counter() - started)

@@ -51,15 +51,14 @@ LEAST_NOISE = 1e-300  # keeps a division defined where the sensor has none
 
 @dataclass(frozen=True)
 class Rest:
-    """Whether the servo `moves`, and what may change unseen while it does not.
+    """Whether the servo `moves`; while it does not, the load may change unseen.
 
-    `name`: that quantity of the companion; `column`: the entry that changes with it, by `rate` (variance over time).
+    `column`: the entry that changes with it; `friction`: the quantity of the companion by which its drift is counted.
     """
 
     moves: SX
-    name: str
     column: int
-    rate: SX
+    friction: str = "Fc"
 
 
 @dataclass(frozen=True)
@@ -195,14 +194,15 @@ class Companion:
         }
 
     def _drifted(self, p: Namespace, matrix: SX, rest: Rest, period: SX) -> SX:
-        """Return the information after a time in which one entry has done a random walk of the variance `rest.rate` over time.
+        """Return the information after a time in which the entry of the load has done a random walk.
 
         The quadratic form least over the change of that entry: R - R e e' R / (1 / q + e' R e).
         Source: jazwinski1970 chapter 7 (process noise), in information form.
         """
-        excess = consistency.inflation(p, self.count, self.prefix, LEAST_EXCESS)[self.names.index(rest.name)] ** 2
+        excess = consistency.inflation(p, self.count, self.prefix, LEAST_EXCESS)[self.names.index("load")] ** 2
         claimed = excess * p[f"{self.prefix}residual"]  # variance for unit information
-        walk = ca.fmin(rest.rate * period / ca.fmax(claimed, LEAST_NOISE), LARGEST_WALK)
+        rate = excitation.LOAD_DRIFT * self.fit(p)[rest.friction] ** 2
+        walk = ca.fmin(rate * period / ca.fmax(claimed, LEAST_NOISE), LARGEST_WALK)
         column = matrix[:, rest.column]
         return SX(matrix - walk * column @ column.T / (1 + walk * column[rest.column]))
 

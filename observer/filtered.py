@@ -10,7 +10,7 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import excitation, step1
-from bristle.observer.companion import Row
+from bristle.observer.companion import Rest, Row
 from bristle.observer.method import Sample, stack, unstack, vector_states
 from bristle.observer.rls import ESTIMATES
 
@@ -77,7 +77,8 @@ def observe(p: Namespace, s: Sample, kept: SX) -> tuple[Row, dict[str, SX]]:
     after = before + gain * (raw - before)
     counts = fast(s, vc)
     noise = (p.noise * gain / h) ** 2 * (1 + gain / (2 - gain))
-    sample = Row(after[0], after[1:6], after[6], counts, noise, 2 / (p.cutoff * h), step1.rest(p, ca.fabs(s.y1) > NOISES * p.noise))
+    rest = Rest(ca.fabs(s.y1) > NOISES * p.noise, step1.LOAD_ENTRY)
+    sample = Row(after[0], after[1:6], after[6], counts, noise, 2 / (p.cutoff * h), rest)
     shared = {
         **unstack("filtered", ca.if_else(counts, after, 0)),
         "input_before": s.u,

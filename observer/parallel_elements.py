@@ -12,7 +12,7 @@ import casadi as ca
 
 from bristle.model.basis import BASIS_COUNT, gaussian, width_parameter
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import excitation, filtered, step1, swapping
+from bristle.observer import filtered, step1, swapping
 from bristle.observer.companion import Companion, Rest, Row, View
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 from bristle.observer.swapping import LEAST_DRIVE, SETTLED_AFTER
@@ -84,8 +84,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
     row_new = twice + gain * (once_new - twice)
     h = ca.vertcat(row_new[1:3], row_new[BESIDE:-1], 1, row_new[3])
     noise = 2 * (p.noise * gain / s.period) ** 2
-    drift = excitation.LOAD_DRIFT * COMPANION.fit(p)["Fc"] ** 2
-    rest = Rest(ca.fabs(row_new[1]) > filtered.NOISES * p.noise, "load", ENTRIES.index("load"), drift)
+    rest = Rest(ca.fabs(row_new[1]) > filtered.NOISES * p.noise, ENTRIES.index("load"))
     settled = p.samples * s.period * p.cutoff > SETTLED_AFTER
     row = Row(row_new[0], h, row_new[-1], settled, noise, 2 / (p.cutoff * s.period), rest)
     view = _view(c)

@@ -10,7 +10,7 @@ import casadi as ca
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import excitation, kalman, step1
-from bristle.observer.companion import Row
+from bristle.observer.companion import Rest, Row
 from bristle.observer.method import EquationContext, Method, Sample, Update, stack, unstack, vector_states
 
 SX = ca.SX
@@ -95,7 +95,7 @@ def row(p: Namespace, s: Sample, gate: SX) -> tuple[Row, dict[str, SX]]:
     input_rate = (r.next["twice2"] - p.twice2) / s.period  # one sample back exactly, or shares of one
     noise = rounding_noise(p.resolution, p.cutoff, s.period)
     h = ca.vertcat(r.h, 1, input_rate)
-    rest = step1.rest(p, ca.fabs(r.h[0]) > excitation.noise_speed(p))
+    rest = Rest(ca.fabs(r.h[0]) > excitation.noise_speed(p), step1.LOAD_ENTRY)
     return Row(r.z, h, r.h[2] * step1.falling(r.h[0], gate), r.counts, noise, 2 / (p.cutoff * s.period), rest), r.next
 
 

@@ -13,7 +13,7 @@ import casadi as ca
 
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.observer import excitation
-from bristle.observer.companion import Companion, Rest, Row
+from bristle.observer.companion import Companion, Row
 from bristle.observer.method import LARGEST_SD, Sample
 
 SX = ca.SX
@@ -23,6 +23,7 @@ LEAST_SPEED = 1e-9  # rad/s, below which nothing moves
 MEMORY = 100.0  # s, in which the companion of a gradient law forgets
 GATE_POWER = 4  # power of the gate with which a sample counts that came from a lower one
 VALID_SHARE = 0.08  # standard deviation of a valid estimate over its size, of the load over Fc
+LOAD_ENTRY = COMPANION.names.index("load")
 STATES = (
     *excitation.STATES,
     *COMPANION.states,
@@ -63,11 +64,6 @@ def fit(p: Namespace, sample: Row, gate: SX, kept: SX, period: SX) -> dict[str, 
 def left(p: Namespace, shared: Mapping[str, SX]) -> SX:
     """Return the share of what was known that a rise of the gate leaves; `shared`: next states of the methods of step 1."""
     return SX((p.gate_reached / shared["gate_reached"]) ** GATE_POWER)
-
-
-def rest(p: Namespace, moves: SX) -> Rest:
-    """Return what a companion of step 1 is told of rest: the load may change then."""
-    return Rest(moves, "load", COMPANION.names.index("load"), excitation.LOAD_DRIFT * COMPANION.fit(p)["Fc"] ** 2)
 
 
 def falling(speed: SX, gate: SX) -> SX:

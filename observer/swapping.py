@@ -20,7 +20,7 @@ import casadi as ca
 from bristle.model.basis import gaussian, width_parameter
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter
-from bristle.observer import consistency, excitation, information, step1, zhang
+from bristle.observer import consistency, information, step1, zhang
 from bristle.observer.companion import Companion, Rest, Row, View
 from bristle.observer.method import EquationContext, Sample, stack, unstack, vector_states
 
@@ -141,7 +141,7 @@ def observe(
     filters, line = advance(context, given.corner, s.period, *ends)
     counts = p.samples * s.period * given.corner > SETTLED_AFTER
     moves = given.corner**2 * ca.fabs(line[SPEED_ENTRY]) > ca.sqrt(given.noise)  # of v, filtered, against that of v itself
-    rest = Rest(moves, "load", LOAD_ENTRY, excitation.LOAD_DRIFT * fitted.fit(p)["sigma0"] ** 2)  # c d against sigma0 = c Fc
+    rest = Rest(moves, LOAD_ENTRY, "sigma0")  # c d against sigma0 = c Fc
     row = Row(line[-1], line[:-1].T, SX(0, 1), counts, given.noise, 2 / (given.corner * s.period), rest)
     weight = p[f"{fitted.prefix}residual"]
 

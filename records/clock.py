@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -94,6 +95,11 @@ def one_rate(records: list[Record]) -> list[Record]:
             record = replace(record, findings=(*record.findings, line))
         found.append(replace(_resampled(record, h) if differs or record.resampled else record, h=h))
     return found
+
+
+def overlap(spans: Iterable[tuple[float, float]]) -> bool:
+    """Return whether some of the records overlap, given by the times of their first and last samples."""
+    return any(later[0] <= earlier[1] for earlier, later in pairwise(sorted(spans)))
 
 
 def must_agree(records: Sequence[Record]) -> None:

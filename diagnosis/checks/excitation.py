@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from scipy.signal import savgol_filter, welch
 from bristle.common.table import Array
 from bristle.diagnosis.modelfile import Model
 from bristle.plant.effect import BOTH_DIRECTIONS, BOTH_SIGNS, REVERSALS
+from bristle.records.clock import overlap
 from bristle.records.record import Record
 
 VELOCITY_SMOOTHING = 0.02  # s: half-width of the parabola that gives the velocity
@@ -156,8 +156,8 @@ def _spectrum(signal: Array, h: float) -> tuple[float, float]:
 
 def _caveats_of_several(model: Model, records: Sequence[Record]) -> list[str]:
     """Return what several records cannot show because their relation in time or position is unknown."""
-    found, spans = [], sorted((float(r.time[0]), float(r.time[-1])) for r in records)
-    if any(later[0] <= earlier[1] for earlier, later in pairwise(spans)):
+    found = []
+    if overlap((float(r.time[0]), float(r.time[-1])) for r in records):
         found.append(
             "times of the records overlap: a clock of its own is assumed for each, so that a step in time is searched with each "
             "record as the last one, and a drift anew in each or from one to the next; log one time for all records if you can"

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from scipy.signal import savgol_coeffs
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.noise import Noise, estimate, response
+from bristle.records.clock import overlap
 
 Mask = NDArray[np.bool_]
 STATE_SMOOTHING = 0.02  # s: half-width of the parabola that gives position and velocity at the start of a segment
@@ -77,8 +77,7 @@ class Segments(Grid):
     @property
     def own_clocks(self) -> bool:
         """True if times of the records overlap, so that each has a clock of its own."""
-        spans = sorted((piece.time, piece.time + self.h * len(piece.u)) for piece in self.pieces)
-        return any(later[0] < earlier[1] - self.h / 2 for earlier, later in pairwise(spans))
+        return overlap((piece.time, piece.time + self.h * (len(piece.u) - 1)) for piece in self.pieces)
 
     def clocks(self, timing: str) -> list[tuple[float, ...]]:
         """Return the times of the first samples that an effect of a `timing` (see `Effect`) calls for, each as of `timed`.

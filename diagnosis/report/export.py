@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bristle.common.errors import BristleError, IncompleteError
-from bristle.common.output import check_no_folder, check_writable, replace_files, to_json
+from bristle.common.output import check_no_folder, check_not_replaced, check_writable, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
@@ -278,8 +278,5 @@ def write(
 
 def check_places(out: Path, inputs: Iterable[Path] = ()) -> None:
     """Raise `BristleError` if writing into `out` would take the place of an input, or of a folder."""
-    places = {(Path(out) / name).resolve(): name for name in WRITTEN_FILES}
-    for path in inputs:
-        if Path(path).resolve() in places:
-            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
+    check_not_replaced(Path(out), WRITTEN_FILES, map(Path, inputs))
     check_no_folder(Path(out), WRITTEN_FILES)

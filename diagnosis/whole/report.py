@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from bristle.common.drawing import BLUE, STYLE, svg
-from bristle.common.errors import BristleError
 from bristle.common.html import figure, number, page, table, unit
-from bristle.common.output import check_no_folder, check_writable, replace_files, to_json
+from bristle.common.output import check_no_folder, check_not_replaced, check_writable, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.diagnosis.report.open_loop import Curve, open_loop_figure
 from bristle.diagnosis.whole.validation import ValidatedRecord, Validation
@@ -46,10 +45,7 @@ def write_validation(validation: Validation, out: Path, made: Mapping[str, Any] 
 
 def check_validation_places(out: Path, inputs: Iterable[Path]) -> None:
     """Raise `BristleError` if writing into `out` would take the place of an input."""
-    places = {(out / name).resolve() for name in VALIDATION_FILES}
-    for path in inputs:
-        if path.resolve() in places:
-            raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
+    check_not_replaced(out, VALIDATION_FILES, inputs)
 
 
 def sentences(validation: Validation) -> list[str]:
