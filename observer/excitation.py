@@ -81,6 +81,16 @@ def rest(before: SX, moves: SX, period: SX) -> tuple[SX, SX]:
     return since, since >= FRESH_TIME
 
 
+def drifted(before: SX, rests: SX, square: SX, period: SX) -> SX:
+    """Return the variance by which the load may have changed in this rest, up to `square`, that of dry friction; 0 in motion."""
+    return SX(ca.if_else(rests, ca.fmin(before + period * LOAD_DRIFT * square, square), 0))
+
+
+def drifted_state() -> State:
+    """Declare the variance by which the load may have changed in a rest."""
+    return State("drifted", "rad2/s4", "variance by which the load may have changed in this rest")
+
+
 def rest_state(name: str = "rest") -> State:
     """Declare the time since motion was last seen."""
     return State(name, "s", "time since motion was last seen, up to that from which the servo rests", initial=FRESH_TIME)

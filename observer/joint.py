@@ -14,7 +14,7 @@ import casadi as ca
 
 from bristle.model.basis import width_parameter
 from bristle.model.variables import Namespace, Parameter, State
-from bristle.observer import consistency, kalman, rls, smoothing, step1, step2, swapping
+from bristle.observer import consistency, excitation, kalman, rls, smoothing, step1, step2, swapping
 from bristle.observer.kalman import MOTION_STATES
 from bristle.observer.method import EquationContext, Sample, Update, stack
 
@@ -44,6 +44,11 @@ class Filter:
     companion: bool = False  # whether the estimates are compared with the least squares of step 2 too
 
     @property
+    def load(self) -> int | None:
+        """Place of the load torque among the entries, which may change unseen while the servo rests."""
+        return self.names.index("load") if "load" in self.names else None
+
+    @property
     def order(self) -> int:
         """Length of the vector."""
         return MOTION_STATES + len(self.names)
@@ -64,6 +69,12 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
     quantum = kalman.rounding(p.resolution)
     error = s.y1 + p.resolution / 2 - z[0]
     before = kalman.noisy(covariance, ca.vertsplit(rates), h)
+    rests = p.rest >= excitation.FRESH_TIME
+    drifted: dict[str, SX] = {}
+    if f.load is not None:
+        before = kalman.moved_again(before, ca.if_else(rests, 0, p.drifted), MOTION_STATES + f.load)
+        square = f.estimates(now[MOTION_STATES:])["Fc"] ** 2
+        drifted["drifted"] = ca.if_else(runs, excitation.drifted(p.drifted, rests, square, h), 0)
     z, covariance, size = kalman.correct(z, before, error, quantum, p.gate)
     lost = before[MOTION_STATES:, 0] ** 2 / ((before[0, 0] + quantum) * ca.fmax(1, size / p.gate**2))
     z = kalman.bounded(z, covariance, *f.bounds(p))
@@ -87,6 +98,7 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
             "age": ca.if_else(runs, p.age + h, 0),
             "innovation_sensor": ca.if_else(runs, p.innovation_sensor + share * (ratio - p.innovation_sensor), 1),
             "step2_runs": go,
+            **drifted,
         },
         **_published(p, s, f, fields),
         signals=kalman.signals(now, f.servo(p, now[MOTION_STATES:])),
@@ -103,6 +115,8 @@ def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) ->
     z, covariance = kalman.read(p, f.order)
     factors = ca.diag(consistency.inflation(p, len(f.names), PREFIX))
     spread = factors @ covariance[MOTION_STATES:, MOTION_STATES:] @ factors
+    if f.load is not None:
+        spread[f.load, f.load] = spread[f.load, f.load] + p.drifted
     entries = z[MOTION_STATES:]
     estimates = f.estimates(entries)
     sd = kalman.deviations(f.estimates, entries, spread)
@@ -147,5 +161,6 @@ def states(f: Filter) -> tuple[State, ...]:
         *(State(f"spread{i}", "1", f"standard deviation of {name} at the start") for i, name in enumerate(f.names)),
         State("age", "s", "time since the filter began"),
         State("innovation_sensor", "1", "mean squared innovation over the variance of the sensor, of late", initial=1.0),
+        *((excitation.drifted_state(),) if f.load is not None else ()),
         *((*step2.SMOOTHING_STATES, *step2.STATES) if f.companion else (State("step2_runs", "1", "1 once the filter has begun"),)),
     )

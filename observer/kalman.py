@@ -117,6 +117,17 @@ def sample(x: SX, servo: Servo, inputs: SX, h: SX) -> SX:
     return x
 
 
+def moved_again(covariance: SX, variance: SX, load: int) -> SX:
+    """Return P at the end of a rest in which the load may have changed by that variance: the bristle has held it.
+
+    `load`: its place in the vector, as an acceleration. Source: jazwinski1970 chapter 8.
+    """
+    new, w = SX(covariance), MOTION_STATES - 1
+    for i, j in ((w, w), (w, load), (load, w), (load, load)):
+        new[i, j] = new[i, j] + variance
+    return new
+
+
 def deviations(estimates: Callable[[SX], dict[str, SX]], entries: SX, covariance: SX) -> dict[str, SX]:
     """Return the standard deviations, to first order, of estimates that are functions of entries with this covariance.
 

@@ -168,22 +168,11 @@ def _filter(p: Namespace, s: Sample, time: SX) -> _Step:
     quantum = kalman.rounding(p.resolution) * same
     variance = quantum * (1 + p.misfit_noise * misfit + EARLY_QUANTUM * early)
     error = s.y1 + p.resolution / 2 - z[0]
-    before = _moved_again(p, kalman.noisy(covariance, rates, h))
+    ended = ca.if_else(p.rest < excitation.FRESH_TIME, p.drifted, 0)
+    before = kalman.moved_again(kalman.noisy(covariance, rates, h), ended, LOAD)
     z, covariance, size = kalman.correct(z, before, error, variance, p.gate)
     lost = ca.diag(before - covariance)[MOTION_STATES:]
     return _Step(kalman.bounded(z, covariance, *_bounds(p)), covariance, size, error**2 / quantum, lost)
-
-
-def _moved_again(p: Namespace, covariance: SX) -> SX:
-    """Return P with what may have happened in a rest, when that is over: the bristle has held what the load has changed by.
-
-    Source: jazwinski1970 chapter 8.
-    """
-    new = SX(covariance)
-    ended = ca.if_else(p.rest < excitation.FRESH_TIME, p.drifted, 0)
-    for i, j in ((W, W), (W, LOAD), (LOAD, W), (LOAD, LOAD)):
-        new[i, j] = new[i, j] + ended
-    return new
 
 
 def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
@@ -278,7 +267,7 @@ def _equations(context: EquationContext, s: Sample) -> Update:
         "starts": p.starts + go,
         "start_reversals": reversals,
         "rest": rest,
-        "drifted": ca.if_else(ca.logic_and(runs, rests), ca.fmin(p.drifted + h * excitation.LOAD_DRIFT * friction, friction), 0),
+        "drifted": ca.if_else(runs, excitation.drifted(p.drifted, rests, friction, h), 0),
         "moving": ca.if_else(runs, 0, p.moving + ca.if_else(r.counts, h, 0)),
         "age": ca.if_else(runs, p.age + excited.time, 0),
         **{name: ca.if_else(runs, value, 1) for name, value in averages.items()},
@@ -397,7 +386,7 @@ METHOD = Method(
         State("starts", "1", "how often it has started"),
         State("start_reversals", "1", "reversals since a start is looked for"),
         excitation.rest_state(),
-        State("drifted", "rad2/s4", "variance by which the load may have changed in this rest"),
+        excitation.drifted_state(),
         State("moving", "s", "motion seen since a start is looked for"),
         State("age", "s", "time since the start, as far as it counts as excited"),
         State("innovation_mean", "1", "mean squared innovation over its variance", initial=1.0),

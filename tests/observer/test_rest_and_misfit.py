@@ -48,7 +48,7 @@ def observed(method: str, data: Record, **given: float) -> dict[str, np.ndarray]
     return dict(zip(names, out[1:].T, strict=True))
 
 
-@pytest.mark.parametrize("method", ["rls", "self_starting_ekf"])
+@pytest.mark.parametrize("method", ["rls", "self_starting_ekf", "joint_ukf"])
 def test_a_load_that_changes_in_rest_is_not_called_known_and_is_found_when_motion_returns(method):
     data = record(50.0, ((0.0, 1.0), (10.0, 0.0), (35.0, 1.0)), load=0.002)
     found = observed(method, data)
