@@ -41,7 +41,6 @@ class Filter:
     start: Callable[[Namespace, Mapping[str, SX]], tuple[SX, SX]]
     predict: Callable[[Namespace, SX, SX, Sample], tuple[SX, SX]]
     bounds: Callable[[Namespace], tuple[dict[int, SX], dict[int, SX]]]
-    companion: bool = False  # whether the estimates are compared with the least squares of step 2 too
 
     @property
     def load(self) -> int | None:
@@ -84,10 +83,8 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
     first, last = SENSOR_TIME
     share = h / (first + ca.fmin(p.age, last))
     ratio = ca.fmin(error**2 / quantum, LARGEST_RATIO)
-    beside: dict[str, SX] = {}
-    if f.companion:
-        velocity, beside = smoothing.smooth(p, s)
-        beside |= step2.observe(context, velocity, step2.known(fields), step2.from_position(p, s))
+    velocity, beside = smoothing.smooth(p, s)
+    beside |= step2.observe(context, velocity, step2.known(fields), step2.from_position(p, s))
     return Update(
         next={
             **rls.fit(p, s),
@@ -109,7 +106,7 @@ def update(context: EquationContext, s: Sample, f: Filter) -> Update:
 def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of an `Update`; an estimate is valid while the innovations are about what the sensor explains.
 
-    With a companion its doubts are added to those of the filter.
+    The doubts of the least squares of step 2, on the same record, are added to those of the filter.
     Source: jazwinski1970 chapter 8; mehra1970.
     """
     z, covariance = kalman.read(p, f.order)
@@ -121,10 +118,10 @@ def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) ->
     estimates = f.estimates(entries)
     sd = kalman.deviations(f.estimates, entries, spread)
     sound = ca.logic_and(p.age > JUDGED_FROM, p.innovation_sensor < p.innovation_limit)
-    if f.companion:
-        judged = swapping.worth(p, step2.COMPANION, {n: x for n, x in estimates.items() if n != "tau"}, step2.from_position(p, s))
-        sd |= {name: ca.sqrt(sd[name] ** 2 + judged.sd[name] ** 2) for name in sd if name in judged.limits}
-        sound = ca.logic_and(sound, judged.possible)
+    common = {name: x for name, x in estimates.items() if name != "tau"}
+    judged = swapping.worth(p, step2.COMPANION, common, step2.from_position(p, s))
+    sd |= {name: ca.sqrt(sd[name] ** 2 + judged.sd[name] ** 2) for name in sd if name in judged.limits}
+    sound = ca.logic_and(sound, judged.possible)
     limits = {name: step1.VALID_SHARE * swapping.size_of(estimates, name) for name in estimates}
     return {
         "estimates": estimates,
@@ -144,6 +141,7 @@ def parameters(prefix: str, noise_v: float, noise_w: float, limit: float) -> tup
         *rls.parameters(prefix),
         width_parameter(prefix),
         step2.start_parameter(prefix),
+        smoothing.parameter(prefix),
         Parameter(f"{prefix}.noise_v", "q_v", "rad2/s3", noise_v, 0.0, 1e9, "process noise of v", NOISE_CITATION),
         Parameter(f"{prefix}.noise_w", "q_w", "rad2/s5", noise_w, 0.0, 1e9, "process noise of w", NOISE_CITATION),
         Parameter(f"{prefix}.noise_parameters", "q_p", "1/s", 1e-7, 0.0, 1.0, share, NOISE_CITATION),
@@ -162,5 +160,6 @@ def states(f: Filter) -> tuple[State, ...]:
         State("age", "s", "time since the filter began"),
         State("innovation_sensor", "1", "mean squared innovation over the variance of the sensor, of late", initial=1.0),
         *((excitation.drifted_state(),) if f.load is not None else ()),
-        *((*step2.SMOOTHING_STATES, *step2.STATES) if f.companion else (State("step2_runs", "1", "1 once the filter has begun"),)),
+        *step2.SMOOTHING_STATES,
+        *step2.STATES,
     )

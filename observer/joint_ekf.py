@@ -12,7 +12,7 @@ import casadi as ca
 
 from bristle.model.normalised import units
 from bristle.model.variables import Namespace, Parameter
-from bristle.observer import joint, kalman, smoothing
+from bristle.observer import joint, kalman
 from bristle.observer.kalman import MOTION_STATES
 from bristle.observer.method import EquationContext, Method, Sample, Update
 
@@ -49,7 +49,7 @@ def _bounds(p: Namespace) -> tuple[dict[int, SX], dict[int, SX]]:
     return {place[n]: SX(x) for n, x in LOWEST.items()}, {place[n]: SX(x) for n, x in HIGHEST.items()}
 
 
-FILTER = joint.Filter(tuple(JOINT_ENTRIES), _servo, _estimates, _start, _predict, _bounds, companion=True)
+FILTER = joint.Filter(tuple(JOINT_ENTRIES), _servo, _estimates, _start, _predict, _bounds)
 
 
 def _equations(context: EquationContext, s: Sample) -> Update:
@@ -63,7 +63,6 @@ METHOD = Method(
     "y_theta",
     (
         *joint.parameters("joint_ekf", 0.1, 10.0, 10.0),
-        smoothing.parameter("joint_ekf"),
         *(
             Parameter(
                 f"joint_ekf.{name}_start", name, JOINT_ENTRIES[name], start, -1e9, 1e9, f"start of the estimate of {name}",
