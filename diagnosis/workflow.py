@@ -110,20 +110,28 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         refit = within(REFIT_SHARE)
         refitted, whole = refit_to_whole_records(prepared.case, found, refit)
         more = prepared.additions(found)
-        more = replace(more, findings_after=(*more.findings_after, *_cut_short(outcome, options, refit)))
-        unnamed = unnamed_torque(prepared.case, found) if within(REFIT_SHARE) else None
+        fill = within(REFIT_SHARE)
+        unnamed = unnamed_torque(prepared.case, found) if fill else None
         tell("what to measure next", 0.95)
-        designed = design(prepared.case, found, options) if within(DESIGN_SHARE) else None
+        ask = within(DESIGN_SHARE)
+        designed = design(prepared.case, found, options) if ask else None
+        done = {
+            "parameters were not refitted to whole records": refit,
+            "no unnamed torque": fill,
+            "no input of a further record": ask,
+        }
+        left = _cut_short(outcome, options, [what for what, was in done.items() if not was])
+        more = replace(more, findings_after=(*more.findings_after, *left))
         said = with_unnamed_torque(as_diagnosis(prepared.case, refitted, whole, more), unnamed)
         text = " ".join(filter(None, (said.experiment, designed_line(designed, prepared.case.model))))
         return replace(said, experiment=text, designed=designed, seconds=time.perf_counter() - started)
 
 
-def _cut_short(outcome: SearchOutcome, options: SearchOptions, refit: bool) -> list[str]:
-    """Return a line on what a time budget left out, if it did."""
+def _cut_short(outcome: SearchOutcome, options: SearchOptions, later: Sequence[str]) -> list[str]:
+    """Return a line on what a time budget left out, of the search and after it (`later`), if it did."""
     left = [f"effects not tried in the last round: {', '.join(outcome.rounds[-1].untried)}"] if outcome.rounds[-1].untried else []
     left += ["no further effect was looked for"] if outcome.ended_early and not left else []
-    left += [] if refit else ["parameters were not refitted to whole records"]
+    left += later
     return [f"the time budget of {options.budget:g} s was used up: {'; '.join(left)}"] if left else []
 
 

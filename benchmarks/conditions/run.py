@@ -123,7 +123,11 @@ def compute(job: tuple[str, str, str, int]) -> None:
     method, name, plant, seed = job
     path = _path(method, CONDITIONS[name], plant, seed)
     if not path.exists():
-        write_json(path, observe(method, CONDITIONS[name], record(CONDITIONS[name], plant, seed)))
+        try:
+            found = observe(method, CONDITIONS[name], record(CONDITIONS[name], plant, seed))
+        except np.linalg.LinAlgError as error:
+            found = {"failure": f"{method} on {name}, {plant}, {seed}: {error}"}
+        write_json(path, found)
 
 
 def plan(seeds: Mapping[str, int]) -> Iterator[tuple[str, str, str, int]]:

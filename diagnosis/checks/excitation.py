@@ -27,6 +27,9 @@ HALF_TURN = float(np.pi)  # rad
 COARSE_PERIOD = 0.02  # s: sampling period above which an input that changes between samples is poorly known
 SHORT_DURATION = 5.0  # s: duration of all records below which too few segments can be held out
 SINE_RANGE = float(np.pi / 2)  # rad: range below which a sine of the position is nearly a straight line
+LEAST_INERTIA = (
+    0.3  # of the input: mean torque of the inertia below which, in so small a range, friction is nearly all that is seen
+)
 VELOCITY_CAVEAT = (
     "velocities only: position 0 is assumed at the beginning of each record; effects that depend on the position are found, with "
     "the right phase, only if all records begin at the same position"
@@ -71,6 +74,7 @@ def excitation(model: Model, records: Sequence[Record]) -> dict[str, Any]:
         gain = model.parameters["b"]
         ends = sorted((gain * float(np.min(u)), gain * float(np.max(u))))
         numbers["torque_range"] = {"lowest": ends[0], "highest": ends[1], "unit": "N" if model.linear else "N.m"}
+    numbers["inertia_share"] = max(_inertia_share(model, each, r) for each, r in zip(velocities, records, strict=True))
     numbers["lacks"] = _lacks(numbers)
     numbers["narrow"] = _poor_excitation(model, records, numbers)
     numbers["caveats"] = [*_caveats(model, numbers), *_caveats_of_several(model, records)]
@@ -101,9 +105,16 @@ def _poor_excitation(model: Model, records: Sequence[Record], numbers: dict[str,
         return f"the input changes between samples that are {1e3 * period:.3g} ms apart; log it at the rate of the drive"
     if numbers["duration"]["value"] < SHORT_DURATION:
         return f"the records last {numbers['duration']['value']:.3g} s in all; record 20 s or more"
-    if not model.linear and numbers["range_travelled"]["value"] < SINE_RANGE:
-        return "the servo moves less than a quarter turn; record fast and slow motion over several turns"
+    slow = numbers["inertia_share"] < LEAST_INERTIA
+    if slow and not model.linear and numbers["range_travelled"]["value"] < SINE_RANGE:
+        return "the servo moves less than a quarter turn, and slowly; record fast and slow motion over several turns"
     return ""
+
+
+def _inertia_share(model: Model, v: Array, record: Record) -> float:
+    """Return the mean torque that the model's inertia takes in a record, over that of the input; 0 without an input."""
+    drive = float(np.mean(np.abs(model.parameters.get("b", 1.0) * record.u)))
+    return model.parameters["J"] * float(np.mean(np.abs(np.gradient(v, record.h)))) / drive if drive > 0 else 0.0
 
 
 def _with(unit: str, value: float) -> dict[str, Any]:

@@ -89,12 +89,12 @@ class _Trial:
     gain: float
 
     def rank(self, case: Case) -> tuple[bool, bool, float]:
-        """Return what inputs are compared by: whether it decides, whether its motion is varied enough for a name, its gain."""
+        """Return what inputs are compared by: whether it decides, whether a name may follow from all records then, its gain."""
         some, h = case.records[0], case.dataset.segments.h
         time = np.asarray(h * np.arange(len(self.u)), dtype=np.float64)
         record = replace(some, time=time, u=self.u, y=self.outputs[0], velocity=None)
         decides = self.gain > TIE_NATS
-        return decides, decides and not excitation(case.model, [record])["narrow"], self.gain
+        return decides, decides and not excitation(case.model, [*case.records, record])["narrow"], self.gain
 
 
 def _class_of(rival: Rival) -> str:

@@ -27,6 +27,9 @@ BAND = (1.0, 40.0)  # Hz: of a sweep
 RAMP_SECONDS = 2.0  # s: of one ramp through zero, there and back
 RAMP_PEAKS = (0.5, 1.3)  # of the dry friction: peaks of the first and of the last ramp
 QUICKER = 1.5  # by how much a recorded input is quickened
+VARIED_DRAWS = 2  # inputs to choose from for each recorded one whose pace and size are varied
+VARIED_PACE, VARIED_SIZE = (0.8, 3.0), (0.3, 1.0)  # over the recorded ones: no slower than that keeps a motion within its range
+VARIED_SECONDS = 2.0  # s: from one drawn pace and size to the next
 Follow = Callable[[float, Array], float]  # position at rest and an input (n,) -> position after it
 
 
@@ -135,6 +138,14 @@ def ramps(axis: Axis, n: int, h: float) -> Array:
     return np.asarray(axis.friction / axis.gain * peaks * triangle)
 
 
+def varied(rng: np.random.Generator, u: Array, n: int, h: float) -> Array:
+    """Return a recorded input (n,) played at a pace and size that vary: what repeated one motion then shows many."""
+    t = h * np.arange(n)
+    knots = np.arange(0.0, t[-1] + 2 * VARIED_SECONDS, VARIED_SECONDS)
+    pace, size = (np.interp(t, knots, rng.uniform(*ends, len(knots))) for ends in (VARIED_PACE, VARIED_SIZE))
+    return np.asarray(size * np.interp(np.cumsum(pace) - pace[0], np.arange(len(u)), u, period=len(u)))
+
+
 @dataclass(frozen=True)
 class Input:
     """An input to choose from: what it is in words, and its values (n,) at one level or several, the strongest first."""
@@ -158,6 +169,9 @@ def inputs(axis: Axis, limits: Limits, recorded: Sequence[Array], samples: tuple
         quick = np.interp(QUICKER * np.arange(int(len(u) / QUICKER)), np.arange(len(u)), u)
         found.append(Input("a recorded input", tuple(level * np.resize(u, n) for level in INPUT_LEVELS)))
         found.append(Input("a recorded input, quickened", tuple(level * np.resize(quick, n) for level in INPUT_LEVELS)))
+        for seed in range(VARIED_DRAWS):
+            other = varied(np.random.default_rng(seed), u, n, h)
+            found.append(Input("a recorded input, its pace and size varied", tuple(level * other for level in INPUT_LEVELS)))
     return found
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.stats import binom
 from scipy.stats import f as f_ratio
 
@@ -29,7 +30,7 @@ LEAST_VIEW_P = 1 / (1 + SIGN_DRAWS)  # smallest p that is reported
 LISTED_VIEW_P = 0.05  # p up to which a view is listed ahead of the others
 VIEW_RIDGE = 1e-3  # ridge of a view's regression, relative to its mean power
 TONE_BAND = (0.2, 45.0)  # frequencies [Hz] at which an oscillation in time is searched
-SPECTRUM_PADDING = 4  # length of a zero-padded spectrum over that of the record
+SPECTRUM_PADDING = 4  # length of a zero-padded spectrum over that of the record, at least
 MOST_PERIODS = 60  # periods in a turn up to which a wave along the position is searched
 MAPPED_VIEWS = 6  # views whose residual is drawn
 SENSOR_VIEWS = ("du",)  # views that contain the sensor's own noise in a closed loop, which a residual follows in any case
@@ -48,13 +49,14 @@ def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array,
     first = np.array([time[row == k].min() for k in range(len(which))])
     place = np.rint((time - first[row, None]) / step).astype(int)
     length = int(place.max()) + 1
-    frequency = np.fft.rfftfreq(SPECTRUM_PADDING * length, step)
+    padded = next_fast_len(SPECTRUM_PADDING * length, real=True)
+    frequency = rfftfreq(padded, step)
     inside = (frequency >= TONE_BAND[0]) & (frequency <= TONE_BAND[1])
 
     def amplitudes(signs: Array) -> Array:
         even = np.zeros((len(which), length))
         even[row[:, None], place] = signs[:, None] * rough
-        lines = np.abs(np.fft.rfft(even, SPECTRUM_PADDING * length, axis=1)[:, inside])
+        lines = np.abs(rfft(even, padded, axis=1)[:, inside])
         return np.asarray(np.sqrt(np.square(lines).sum(axis=0)))
 
     return np.asarray(frequency[inside]), amplitudes

@@ -34,6 +34,7 @@ from bristle.plant.wording import Wording
 EXCITATION = {  # key of the excitation -> words; the others read as they are
     "input_range": "input", "input_between_samples": "input between samples",
     "speed_dominant_tone_share": "share of the strongest tone in the speed",
+    "inertia_share": "mean torque of the inertia over that of the input",
     "input_bandwidth": "bandwidth of the input", "speed_range": "speed",
     "range_travelled": "range of positions", "path_travelled": "path", "turns_travelled": "turns spanned",
     "rest_share": "time at rest", "slow_share": "time in slow motion", "forward_share": "time forward",

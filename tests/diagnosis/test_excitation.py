@@ -146,6 +146,18 @@ def test_little_was_recorded(model):
     assert excitation(model, moving)["narrow"].startswith("the input changes between samples that are 50 ms apart")
 
 
+def test_a_small_range_is_narrow_only_where_nothing_accelerates(model):
+    """The same quarter of a radian: slowly there is friction alone, quickly the inertia takes its share too."""
+    t = np.arange(20000) * H
+    for pace, narrow in ((0.2, True), (3.0, False)):
+        y = 0.15 * np.sin(2 * np.pi * pace * t) + 0.1 * np.sin(2 * np.pi * 0.61 * pace * t + 1)
+        v = np.gradient(y, H)
+        u = model.parameters["J"] * np.gradient(v, H) + 0.1 * np.sign(v)
+        found = described(model, t, u, y)
+        assert (found["inertia_share"] < 0.3) is narrow
+        assert found["narrow"].startswith("the servo moves less than a quarter turn") is narrow
+
+
 def test_records_beside_each_other_have_caveats(tree, model):
     t, u, y = swing()
     overlap, begin = "times of the records overlap", "position 0 is assumed at the beginning of each record"

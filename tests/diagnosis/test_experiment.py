@@ -15,7 +15,7 @@ from bristle.diagnosis.estimation.likelihood import Problem, evaluate
 from bristle.diagnosis.estimation.simulator import free_parameters
 from bristle.diagnosis.experiment.design import MARGIN, _Design
 from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
-from bristle.diagnosis.experiment.inputs import Axis, Limits, inputs, move
+from bristle.diagnosis.experiment.inputs import Axis, Limits, inputs, move, varied
 from bristle.diagnosis.experiment.sentence import designed_line
 from bristle.diagnosis.report.export import write
 from bristle.diagnosis.report.result import DesignedInput, Diagnosis
@@ -68,6 +68,17 @@ def test_inputs_are_the_same_each_time_and_begin_each_step_where_the_last_one_en
     assert all(np.array_equal(a, b) for x, y in zip(first, again, strict=True) for a, b in zip(x.levels, y.levels, strict=True))
     assert all(len(u) == SAMPLES for each in first for u in each.levels)
     assert 0.3 in asked
+
+
+def test_a_varied_input_shows_many_tones_where_the_recorded_one_has_one() -> None:
+    t = H * np.arange(2 * SAMPLES)
+    u = 0.2 * np.sin(2 * np.pi * 1.5 * t)
+    other = varied(np.random.default_rng(0), u, len(u), H)
+    assert len(other) == len(u)
+    assert np.abs(other).max() <= np.abs(u).max()
+    shares = [np.sort(power)[::-1][:8].sum() / power.sum() for power in (np.abs(np.fft.rfft(each)) ** 2 for each in (u, other))]
+    assert shares[0] > 0.99
+    assert shares[1] < 0.5
 
 
 def test_limits_are_those_of_input_rms_and_position() -> None:
