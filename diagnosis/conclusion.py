@@ -391,7 +391,7 @@ def _round(v: SearchRound) -> answer.Round:
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else math.nan
         a = c.assessment
-        tested = () if a is None else (a.error_reduction, a.held_out_gain, *a.deficit)
+        tested = () if a is None else (a.error_reduction, a.predictive_gain, *a.deficit)
         bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.reason, *tested))
     bars.sort(key=lambda bar: math.inf if math.isnan(bar.gain) else -bar.gain)
     best = v.best.name if v.best else None

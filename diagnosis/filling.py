@@ -9,8 +9,7 @@ from bristle.diagnosis.estimation.likelihood import mean_square
 from bristle.diagnosis.localisation.unnamed_torque import Curve, fill
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.report.text import unnamed_line, view_name
-from bristle.diagnosis.selection.criterion import LEAST_FALL
-from bristle.diagnosis.selection.effect_size import fall
+from bristle.diagnosis.selection.effect_size import LEAST_FALL, fall
 
 MOST_CURVES = 2  # variables that an unexplained residual is taken for a sum of functions of
 

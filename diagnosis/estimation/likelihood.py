@@ -109,6 +109,11 @@ class Fit(Point):
         """Log-likelihood over the segments that count, prior knowledge included [nats]."""
         return float(self.score.sum()) + self.prior
 
+    @property
+    def penalised(self) -> float:
+        """Log-likelihood less half the Bayesian information criterion's penalty [nats]. Source: schwarz1978."""
+        return self.total - 0.5 * len(self.free) * float(np.log(np.count_nonzero(self.weight) + 1.0))
+
     def collinear_with(self, place: int) -> tuple[str, ...]:
         """Return the parameters that together have the effect of the one at this place; empty if none do or it is unknown."""
         if not (np.diag(self.information) > 0).all():  # derivatives of a load in its play can be mostly rounding errors

@@ -40,7 +40,7 @@ class Candidate:
     level: float  # rise that chance reaches [nats]
     note: str = ""  # why it was not tried
     size: float | None = None  # factor by which the mean squared error falls
-    kept: float | None = None  # gain on held-out segments [nats]
+    kept: float | None = None  # gain of the log predictive density of all segments, each under parameters fitted without it [nats]
     behind: float | None = None  # log-likelihood of the best candidate above that of this one [nats]
     doubt: float | None = None  # its standard error [nats]
 

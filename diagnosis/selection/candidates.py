@@ -14,6 +14,7 @@ from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescor
 from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise
 from bristle.diagnosis.estimation.simulator import Simulator, free_parameters
 from bristle.diagnosis.localisation.residual_response import directions
+from bristle.diagnosis.selection.effect_size import LEAST_FALL
 from bristle.diagnosis.selection.null_distribution import Null, largest_gain
 from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts
 from bristle.plant.effects import effect as find_effect
@@ -45,13 +46,27 @@ EXHAUSTIVE = Effort(14, 25, True)
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a candidate above the null's level is worth."""
+    """What an effect is worth, compared with the model without it."""
 
+    level: float = 0.0  # gain that chance reaches [nats]
     error_reduction: float = 1.0  # factor by which the mean squared error falls
-    held_out_gain: float = 0.0  # gain on held-out segments, clipped in each [nats]
-    large_enough: bool = False  # whether `error_reduction` suffices
-    confirmed: bool = False  # whether held-out segments agree
+    predictive_gain: float = 0.0  # of the log predictive density of all segments, each under parameters fitted without it [nats]
     deficit: tuple[float, float] = (0.0, 0.0)  # by how much the best candidate is likelier, and the standard error of that [nats]
+
+    @property
+    def large_enough(self) -> bool:
+        """True if the error falls by a factor that matters."""
+        return self.error_reduction >= LEAST_FALL
+
+    @property
+    def confirmed(self) -> bool:
+        """True if segments become likelier under parameters that were fitted without them, by more than chance gives."""
+        return self.predictive_gain > self.level
+
+    @property
+    def accepted(self) -> bool:
+        """True if the effect meets the criterion."""
+        return self.large_enough and self.confirmed
 
 
 @dataclass(frozen=True)
@@ -73,10 +88,8 @@ class Candidate:
 
     @property
     def penalised_likelihood(self) -> float:
-        """Log-likelihood less half the Bayesian information criterion's penalty [nats]. Source: schwarz1978."""
-        if self.fit is None:
-            return -np.inf
-        return self.fit.total - 0.5 * self.size * float(np.log(np.count_nonzero(self.fit.weight) + 1.0))
+        """Log-likelihood less half the Bayesian information criterion's penalty [nats]."""
+        return -np.inf if self.fit is None else self.fit.penalised
 
     def gain_over(self, fit: Fit) -> float:
         """Return by how much it is likelier than another fit under the same noise [nats]."""

@@ -1,4 +1,4 @@
-"""Which candidate above the null's level is accepted: size of its gain, confirmation on held-out segments, ties."""
+"""The criterion by which effects, further ones and other shapes of them are accepted, the order of candidates, and ties."""
 
 from __future__ import annotations
 
@@ -11,38 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
+from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
-from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_initial_states, refit_nonsmooth, resume
+from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_nonsmooth, resume
+from bristle.diagnosis.estimation.predictive import predictive_density
 from bristle.diagnosis.selection.candidates import OUT_OF_TIME, Assessment, Candidate
 from bristle.diagnosis.selection.discretisation import finer_gain
-from bristle.diagnosis.selection.effect_size import acting_fall, fall, typical_fall
+from bristle.diagnosis.selection.effect_size import fall
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
-from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 
 Outcome = Literal["none", "rejected", "limit", "tie", "added", "withdrawn"]
 CONTENDER_SHARE = 0.2  # of the best gain: least gain of a candidate that is refitted under the best one's noise
 NOISE_ROUNDS = 3  # most refits of all contenders, each under the noise of the best one so far
-LEAST_FALL = 1.2  # factor by which the mean squared error must fall
-RIVAL_SHARE = 0.6  # of the best gain: least gain of a rival, where the best one is too small or the motion is uniform
-DOUBTLESS_LEVELS = 10.0  # times the null's level: a gain beyond doubt, if held-out segments agree
-AGREED_NATS = 6.0  # nats: gain on held-out segments with which they agree
-CERTAIN_LEVELS = 30.0  # times the null's level: a gain beyond doubt, whatever held-out segments show
-CLEAR_LEVELS = 3.0  # times the null's level: gain from which a sparse effect's size is judged where it acts
-CLOSE_ERRORS = 2.0  # standard errors: most by which a candidate with a clear gain may be behind a best one that is rejected
-CLOSER_ERRORS = 1.0  # standard errors: the same for other candidates and for simpler ones
-NEARLY_EQUAL_FALL = 0.95  # of the fall in error by another candidate: in practice the same
-NATS_PER_PARAMETER = 3.3  # nats: least gain of a further parameter (1 % level of a likelihood ratio)
-SEGMENT_NATS = 3.0  # nats: largest gain that counts for one held-out segment where they are to agree
-WIDE_SEGMENT_NATS = 8.0  # nats: the same where they are to confirm a candidate
-EXPECTED_SHARE = 0.25  # of the gain that the training segments predict: least on held-out segments
-ALLOWED_LOSS = 10.0  # nats: by which the gain on held-out segments may be less
-SUFFICIENT_NATS = 16.0  # nats: gain on held-out segments that is enough in any case
-COUPLING_NATS = 4.0  # nats: the same for couplings, whose contacts differ from run to run
-LEAST_HELD_OUT_FALL = 1.1  # factor by which the squared error of held-out segments must fall, but for sparse effects and couplings
-CEDED_SHARE = 0.1  # of its gain: most that a sparse effect may lose on held-out segments, beside `ALLOWED_LOSS`
+RIVAL_SHARE = 0.6  # of the best gain: gain from which on a candidate is tied with the best one where motion is uniform
+SIMPLER_ERRORS = 1.0  # standard errors: a simpler candidate that is less far behind takes the place of the best one
 
 
 @dataclass(frozen=True)
@@ -77,11 +62,6 @@ class SearchRound:
         return (self.best and self.best.assessment) or Assessment()
 
     @property
-    def convincing(self) -> bool:
-        """True if its best candidate is large enough and confirmed."""
-        return self.assessment.large_enough and self.assessment.confirmed
-
-    @property
     def level(self) -> float:
         """Gain of its best candidate that chance reaches [nats]."""
         return self.null.level(self.best.name if self.best else "")
@@ -98,12 +78,12 @@ def accept_or_reject(
     problem, contenders = _refitted_contenders(context, _inside_limits(context, above_level))
     contenders = _inside_limits(context, contenders)
     plain = _refitted_plain(problem, context.fit, _likeliest(contenders))
-    comparison = _Comparison.of(context, problem, plain)
-    contenders = [replace(c, assessment=comparison.assess(c, null.level(c.name))) for c in contenders]
-    best = _accepted(contenders, plain, null)
-    confirmed = [c for c in contenders if _is_sound(c)]
+    comparison = Comparison.of(context.dataset, problem, plain)
+    contenders = [replace(c, assessment=c.fit and comparison.assess(c.fit, null.level(c.name))) for c in contenders]
+    accepted = [c for c in contenders if c.assessment and c.assessment.accepted]
+    best = simplest(accepted) if accepted else _likeliest(contenders)
     uniform = bool(context.dataset.poor_excitation)
-    ties = tuple(c.name for c in confirmed if c.name != best.name and is_tied(best, c, plain, uniform))
+    ties = tuple(c.name for c in accepted if c.name != best.name and is_tied(best, c, plain, uniform))
     deficits = [(c, c.assessment, likelihood_difference(best, c)) for c in contenders]
     contenders = [replace(c, assessment=replace(a, deficit=deficit)) for c, a, deficit in deficits if a]
     [best] = [c for c in contenders if c.name == best.name]
@@ -161,85 +141,39 @@ def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
 
 # -- assessment ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class _Comparison:
-    """What candidates are compared with."""
+class Comparison:
+    """What a model with a further effect, or another shape of one, is compared with."""
 
-    plain: Fit  # model without them, on the training segments
-    held_out: Fit  # the same on the held-out segments
-    problem: Problem  # of the held-out segments
-    squares: Array  # (training segments,): mean squared errors of the model without them
+    plain: Fit  # model without it, on the training segments
+    density: Array  # (segments,): its log predictive density [nats]
+    held_out: Problem
+    squares: Array  # (training segments,): its mean squared errors
     train: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, context: SearchContext, problem: Problem, plain: Fit) -> _Comparison:
-        held, train = problem.only(context.dataset.held_out), context.dataset.train
-        return cls(plain, refit_initial_states(held, plain), held, squares(plain, train), train)
+    def of(cls, dataset: Dataset, problem: Problem, plain: Fit) -> Comparison:
+        """Return it for a model without the effect, fitted under the problem of the training segments."""
+        held_out = problem.only(dataset.held_out)
+        density = predictive_density(held_out, plain)
+        return cls(plain, density, held_out, squares(plain, dataset.train), dataset.train)
 
-    def assess(self, candidate: Candidate, level: float) -> Assessment:
-        """Return what a candidate is worth; `level` is the gain that chance reaches [nats].
-
-        Stick-slip lets a few segments diverge by chance, which dominate a mean square. A gain beyond doubt is therefore not
-        judged by it, if the held-out segments agree.
-        """
-        assert candidate.fit is not None
-        effect, gain = find_effect(candidate.name), max(candidate.gain_over(self.plain), 0.0)
-        held_out = refit_initial_states(self.problem, candidate.fit)
-        gains = (held_out.score - self.held_out.score)[self.problem.counted]
-        reduction = self._error_reduction(candidate.fit, effect.sparse, gain > CLEAR_LEVELS * level)
-        agreed = _clipped_sum(gains, SEGMENT_NATS)
-        sure = beyond_doubt(gain, level, agreed)
-        predicted = gain * len(gains) / max(int(np.count_nonzero(self.train)), 1)
-        least = min(EXPECTED_SHARE * predicted - ALLOWED_LOSS, COUPLING_NATS if effect.coupling else SUFFICIENT_NATS)
-        least = -ALLOWED_LOSS - CEDED_SHARE * gain if effect.sparse else least
-        holds = _clipped_sum(gains, WIDE_SEGMENT_NATS) > least
-        confirmed = sure or (holds and (effect.sparse or bool(effect.coupling) or self._error_falls(held_out)))
-        return Assessment(reduction, agreed, is_large_enough(reduction, sure, bool(effect.coupling)), confirmed)
-
-    def _error_reduction(self, fit: Fit, sparse: bool, clear: bool) -> float:
-        """Return the factor by which the error falls on training segments; for a sparse effect with a clear gain where it acts."""
-        after = squares(fit, self.train)
-        whole = fall(self.squares, after, sparse)
-        return max(whole, acting_fall(self.squares, after)) if sparse and clear else whole
-
-    def _error_falls(self, held_out: Fit) -> bool:
-        """True if the error falls on held-out segments, in all or in the typical one."""
-        before, after = squares(self.held_out, self.problem.counted), squares(held_out, self.problem.counted)
-        return max(fall(before, after), typical_fall(before, after)) > LEAST_HELD_OUT_FALL
-
-
-def is_large_enough(error_reduction: float, sure: bool, coupling: bool) -> bool:
-    """True if the error falls by a factor that matters, or by any factor where the gain is beyond doubt.
-
-    A coupling must lower the error: its second inertia can gain likelihood by calling the residual a disturbance.
-    """
-    return error_reduction >= LEAST_FALL or (sure and (error_reduction >= 1 or not coupling))
-
-
-def beyond_doubt(gain: float, level: float, held_out_gain: float) -> bool:
-    """True if a gain is so far above what chance reaches (`level`) that no further test is needed (all in nats)."""
-    return gain > CERTAIN_LEVELS * level or (gain > DOUBTLESS_LEVELS * level and held_out_gain > AGREED_NATS)
-
-
-def _clipped_sum(gains: Array, most: float) -> float:
-    return float(np.clip(gains, -most, most).sum())
+    def assess(self, fit: Fit, level: float) -> Assessment:
+        """Return what a model with the effect is worth; `level` is the gain that chance reaches [nats]."""
+        predicted = float((predictive_density(self.held_out, fit) - self.density).sum())
+        return Assessment(level, fall(self.squares, squares(fit, self.train)), predicted)
 
 
 # -- the best one, and ties ----------------------------------------------------------------------------------------------
-def _is_sound(candidate: Candidate) -> bool:
-    """True if a candidate is large enough and confirmed."""
-    return candidate.assessment is not None and candidate.assessment.large_enough and candidate.assessment.confirmed
+def simplest(candidates: Sequence[Candidate]) -> Candidate:
+    """Return the likeliest candidate, or one with fewer parameters that is less than a standard error behind.
 
+    A step soon after the beginning is nearly a constant torque, and its moment can always be chosen to gain a few nats.
 
-def _accepted(contenders: Sequence[Candidate], plain: Fit, null: Null) -> Candidate:
-    """Return the candidate to add: the likeliest large one or, in its place, a simpler one or the next one that is confirmed."""
-    least = RIVAL_SHARE * _likeliest(contenders).gain_over(plain)
-    large = [c for c in contenders if c.assessment and c.assessment.large_enough and c.gain_over(plain) > least]
-    best = _likeliest(large or contenders)
-    sound = [c for c in contenders if _is_sound(c)]
-    if best in sound:
-        return _likeliest([c for c in sound if is_simpler_equal(c, best)] or [best])
-    clear = {c.name for c in sound if c.gain_over(plain) > CLEAR_LEVELS * null.level(c.name)}
-    return _likeliest([c for c in sound if _is_close(best, c, CLOSE_ERRORS if c.name in clear else CLOSER_ERRORS)] or [best])
+    Source: breiman1984 (rule of one standard error).
+    """
+    best = _likeliest(candidates)
+    close = [c for c in candidates if c.size < best.size and _is_close(best, c)]
+    return min((best, *close), key=lambda c: (c.size, -c.penalised_likelihood))
 
 
 def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, float]:
@@ -254,32 +188,9 @@ def likelihood_difference(best: Candidate, other: Candidate) -> tuple[float, flo
     return deficit, float(np.std(difference) * np.sqrt(len(difference)))
 
 
-def is_simpler_equal(simple: Candidate, rich: Candidate) -> bool:
-    """True if a candidate has fewer parameters and the other one's further ones gain no more than chance.
-
-    Or if it leaves hardly a larger error and the records hardly distinguish them: a step soon after the beginning is nearly
-    a constant torque, and its moment can always be chosen to gain a few nats.
-
-    Source: wilks1938 (likelihood ratio of nested models, 1 %).
-    """
-    assert simple.fit is not None
-    assert rich.fit is not None
-    if simple.size >= rich.size:
-        return False
-    if rich.fit.total - simple.fit.total < NATS_PER_PARAMETER * (rich.size - simple.size):
-        return True
-    if find_effect(simple.name).sparse:  # its fall in error may be that of a few segments
-        return False
-    assert simple.assessment is not None
-    assert rich.assessment is not None
-    equal = simple.assessment.error_reduction >= NEARLY_EQUAL_FALL * rich.assessment.error_reduction
-    return equal and _is_close(rich, simple, CLOSER_ERRORS)
-
-
-def _is_close(best: Candidate, other: Candidate, errors: float) -> bool:
-    """True if another candidate is no more than so many standard errors behind the best one."""
+def _is_close(best: Candidate, other: Candidate) -> bool:
     deficit, error = likelihood_difference(best, other)
-    return deficit < errors * error
+    return deficit < SIMPLER_ERRORS * error
 
 
 def is_tied(best: Candidate, other: Candidate, plain: Fit, uniform: bool) -> bool:
@@ -288,7 +199,7 @@ def is_tied(best: Candidate, other: Candidate, plain: Fit, uniform: bool) -> boo
     assert other.fit is not None
     if uniform and best.fit.total - other.fit.total < (1 - RIVAL_SHARE) * best.gain_over(plain):
         return True
-    return likelihood_difference(best, other)[0] < TIE_NATS and not is_simpler_equal(best, other)
+    return other.size <= best.size and likelihood_difference(best, other)[0] < TIE_NATS
 
 
 def group(name: str) -> str:

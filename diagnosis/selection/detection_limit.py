@@ -12,7 +12,7 @@ from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.plant.effects import effect as find_effect
 
-NOT_CONFIRMED = "does not lower the error on held-out segments"
+NOT_CONFIRMED = "does not make segments likelier that its parameters were not fitted to"
 LARGEST_LIMIT = 1e5  # SI unit of the parameter: a limit beyond this says that the records cannot show the effect
 
 

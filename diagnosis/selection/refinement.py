@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import NOISE_FIT_ITERATIONS, FittedModel, refit_with_noise
-from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, rescored, squares
+from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import predicted_gain, refit, refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import BRISTLE_EFFECTS, OWN_BRISTLES, free_parameters
 from bristle.diagnosis.localisation.views import is_form, periods_of
 from bristle.diagnosis.selection.candidates import Candidate
-from bristle.diagnosis.selection.criterion import DOUBTLESS_LEVELS, LEAST_FALL
-from bristle.diagnosis.selection.effect_size import fall
+from bristle.diagnosis.selection.criterion import Comparison
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effect as find_effect
-
-STRONG_FALL = 1.4  # factor by which the mean squared error falls for an effect that is kept beside others
-STRONG_SHARE = 0.4  # of the gain of another effect: gain for which an effect is kept beside it
-SHAPE_LEVELS = 5.0  # times the null's level: least gain of another shape of an effect
-SHAPE_NATS = 40.0  # nats: the same, at least
-SHAPE_DISTANCE = 0.1  # of the way to the nearest start value of its shape: least change of the shape of a coupling
 
 
 def with_candidate(context: SearchContext, candidate: Candidate) -> SearchContext:
@@ -46,7 +38,7 @@ def add_effect(context: SearchContext, candidate: Candidate, level: float) -> Fi
 
 # -- shape ---------------------------------------------------------------------------------------------------------------
 def refit_shape(context: SearchContext, name: str, level: float) -> FittedModel:
-    """Return the model with the shape of an effect fitted too, if that gains far more than chance reaches (`level`).
+    """Return the model with the shape of an effect fitted too, if that meets the criterion; chance gains `level` [nats].
 
     A wrong shape masks other effects and, where it changes the moments of contact, everything.
     """
@@ -64,7 +56,7 @@ def refit_shape(context: SearchContext, name: str, level: float) -> FittedModel:
         return fitted
     before = rescored(problem, fitted.fit)
     usual = _usual_shape(context, problem, before, fit, name)
-    if fit.total - usual.total > max(SHAPE_LEVELS * level, SHAPE_NATS) and shape_is_distinct(name, fit.values):
+    if Comparison.of(context.dataset, problem, usual).assess(fit, level).accepted and fit.penalised > usual.penalised:
         return FittedModel(best.servo, problem, fit)
     return fitted if usual is before else FittedModel(fitted.servo, problem, usual)
 
@@ -95,13 +87,6 @@ def _usual_shape(context: SearchContext, problem: Problem, before: Fit, fit: Fit
     return max(before, other, key=lambda each: each.total)
 
 
-def shape_is_distinct(name: str, values: Mapping[str, float]) -> bool:
-    """False where the shape of a coupling is nearly its usual one: its contacts amplify rounding errors to as much."""
-    effect, plain = find_effect(name), find_effect(name).inactive_values
-    starts = [(f"{name}.{short}", value) for start in effect.shape_starts for short, value in start.items()]
-    return not effect.coupling or any(abs(values[k] - plain[k]) >= SHAPE_DISTANCE * abs(value - plain[k]) for k, value in starts)
-
-
 def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: Candidate) -> bool:
     """True if a candidate repeats as a small multiple of an effect's wave in the model, and acts on the same variables."""
     assert candidate.fit is not None
@@ -113,18 +98,16 @@ def is_wave_harmonic(dataset: Dataset, fitted: FittedModel, candidate: Candidate
 
 
 # -- removal -------------------------------------------------------------------------------------------------------------
-def backward_elimination(context: SearchContext, base: FittedModel, gain: float, level: float) -> tuple[FittedModel, list[str]]:
-    """Return the model without the effects that are no longer needed beside the last one, and their names.
+def backward_elimination(context: SearchContext, base: FittedModel, level: float) -> tuple[FittedModel, list[str]]:
+    """Return the model without the effects that do not meet the criterion beside the last one, and their names.
 
-    `gain` is that of the last effect, `level` the gain that chance reaches [nats]. An effect stays if the error rises
-    without it, or its gain is beyond doubt; and in any case where its gain is not far below that of the last one.
+    `level` is the gain that chance reaches [nats].
     """
-    fitted, train, removed = context.fitted, context.dataset.train, []
+    fitted, removed = context.fitted, []
     added = [name for name in fitted.servo.effects if name not in base.servo.effects]
     for name in added[:-1]:
         less = _without(fitted, base, name)
-        rise, loss = fall(squares(less.fit, train), squares(fitted.fit, train)), fitted.fit.total - less.fit.total
-        if (rise < LEAST_FALL and loss < DOUBTLESS_LEVELS * level) or (rise < STRONG_FALL and loss < STRONG_SHARE * gain):
+        if not Comparison.of(context.dataset, less.problem, less.fit).assess(fitted.fit, level).accepted:
             fitted = less
             removed.append(name)
     return fitted, removed

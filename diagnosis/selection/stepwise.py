@@ -12,12 +12,8 @@ from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.optimiser import pressed_bounds
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
-from bristle.diagnosis.selection.candidates import EXHAUSTIVE, HOPEFUL_LEVELS, QUICK, Candidate, Effort, fit_candidates
+from bristle.diagnosis.selection.candidates import EXHAUSTIVE, HOPEFUL_LEVELS, QUICK, Assessment, Candidate, Effort, fit_candidates
 from bristle.diagnosis.selection.criterion import (
-    AGREED_NATS,
-    CERTAIN_LEVELS,
-    CLEAR_LEVELS,
-    NATS_PER_PARAMETER,
     SearchRound,
     accept_or_reject,
     group,
@@ -26,8 +22,6 @@ from bristle.diagnosis.selection.detection_limit import NOT_CONFIRMED
 from bristle.diagnosis.selection.discretisation import numerical
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.refinement import (
-    STRONG_FALL,
-    STRONG_SHARE,
     add_effect,
     backward_elimination,
     is_wave_harmonic,
@@ -40,11 +34,8 @@ from bristle.plant.effects import effects as all_effects
 
 MOST_EFFECTS = 4  # most effects that are added
 STRUCTURE_P = 0.05  # p of a view of the residual up to which another round follows
-FURTHER_FALL = 1.6  # factor by which a further effect lowers the error, with a clear gain that held-out segments confirm
-FURTHER_LEVELS = 5.0  # times the null's level: gain of a further effect with which held-out segments agree
-FURTHER_SHARE = 0.25  # of the first effect's gain: gain of a further one with which held-out segments agree
-CONFIRMED_FALL = 1.5  # factor by which a further effect lowers the error, if its held-out gain is `CONFIRMED_NATS`
-CONFIRMED_NATS = 15.0  # nats: large gain of a further effect on held-out segments
+NATS_PER_PARAMETER = 3.3  # nats: least gain beyond the end of an interval that presses against it (1 % level of a likelihood ratio)
+CERTAIN_LEVELS = 30.0  # times the null's level: least gain of an effect with parameters that are hardly credible
 
 
 @dataclass(frozen=True)
@@ -73,7 +64,7 @@ def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> Searc
             return SearchOutcome(fitted, (*rounds, found))
         assert found.best is not None
         with_effect = replace(context, fitted=add_effect(context, found.best, found.level))
-        fitted, removed = backward_elimination(with_effect, base, found.gain, found.level)
+        fitted, removed = backward_elimination(with_effect, base, found.level)
         removal = f"; removed, as no longer needed: {', '.join(removed)}" if removed else ""
         found = replace(found, decision=f"'{found.best.name}' added{removal}")
         rounds.append(found)
@@ -95,35 +86,29 @@ def _find_effect(context: SearchContext, base: FittedModel, rounds: Sequence[Sea
     """Return the next round; with all start values if a quick one finds nothing and the model still fits poorly."""
     taken = _classes(base, rounds)
     names = [name for name in all_effects() if group(name) not in taken]
-    first_gain = rounds[0].gain if rounds else None
-    found = propose_effect(context, names, first_gain, QUICK)
+    found = propose_effect(context, names, QUICK)
     poor = found.outcome in ("none", "rejected") and found.candidates and needs_exhaustive_search(context.dataset, context.fitted)
     if poor and not context.options.late:
-        found = propose_effect(context, names, first_gain, EXHAUSTIVE)
+        found = propose_effect(context, names, EXHAUSTIVE)
     return found
 
 
-def propose_effect(context: SearchContext, names: Sequence[str], first_gain: float | None, effort: Effort) -> SearchRound:
-    """Return a round with its outcome: an effect to add (outcome "added"), or why there is none.
-
-    `first_gain` is that of the first effect [nats], None where this would be the first.
-    """
+def propose_effect(context: SearchContext, names: Sequence[str], effort: Effort) -> SearchRound:
+    """Return a round with its outcome: an effect to add (outcome "added"), or why there is none."""
     found = evaluate_candidates(context, names, effort)
-    return found if found.best is None else decide(context, found, first_gain)
+    return found if found.best is None else decide(context, found)
 
 
-def decide(context: SearchContext, found: SearchRound, first_gain: float | None) -> SearchRound:
-    """Return a round with the decision on its best candidate; `first_gain` as of `propose_effect`."""
-    if not found.convincing:
+def decide(context: SearchContext, found: SearchRound) -> SearchRound:
+    """Return a round with the decision on its best candidate."""
+    if not found.assessment.accepted:
         found = retry_with_shape(context, found)
     assert found.best is not None
     name = found.best.name
-    if not found.convincing:
-        return found.rejected(f"'{name}' {_why_rejected(found)}")
-    if first_gain is not None:
-        harmonic = is_wave_harmonic(context.dataset, context.fitted, found.best)
-        if harmonic or not is_worth_adding(found, first_gain):
-            return found.rejected(f"'{name}' may only correct the shape of an effect that was added")
+    if not found.assessment.accepted:
+        return found.rejected(f"'{name}' {_why_rejected(found.assessment)}")
+    if is_wave_harmonic(context.dataset, context.fitted, found.best):
+        return found.rejected(f"'{name}' may only correct the shape of an effect that was added")
     if any(group(other) != group(name) for other in found.ties):
         return replace(found, decision="several effects explain the residual equally well", outcome="tie")
     if found.finer_gain is not None and numerical(found.gain, found.finer_gain, found.level):
@@ -154,7 +139,7 @@ def evaluate_candidates(context: SearchContext, names: Sequence[str], effort: Ef
 
 
 def required_gain(candidate: Candidate, credible: Mapping[str, tuple[float, float]], null: Null) -> float:
-    """Return the gain that a candidate must exceed [nats]: one beyond doubt where its parameters are hardly credible."""
+    """Return the gain that a candidate must exceed [nats]: a far larger one where its parameters are hardly credible."""
     return (1.0 if candidate.credible(credible) else CERTAIN_LEVELS) * null.level(candidate.name)
 
 
@@ -172,29 +157,9 @@ def retry_with_shape(context: SearchContext, found: SearchRound) -> SearchRound:
     return accept_or_reject(context, tried, [c for c in tried if c.assessment is not None], found.null)
 
 
-def _why_rejected(found: SearchRound) -> str:
-    """Return what is wrong with a best candidate that is not convincing."""
-    if found.gain <= found.level:
-        return "gains no more than chance does, under the noise of its own residual"
-    return NOT_CONFIRMED if found.assessment.large_enough else "is significant, but lowers the squared error too little"
-
-
-def is_worth_adding(found: SearchRound, first_gain: float) -> bool:
-    """True if a further effect does more than correct the shape of another; `first_gain` is that of the first effect [nats].
-
-    It lowers much of the remaining error, also on held-out segments; a correction of a shape does so in places only.
-    """
-    assert found.best is not None
-    reduction, held_out = found.assessment.error_reduction, found.assessment.held_out_gain
-    agrees = held_out > 0 or find_effect(found.best.name).sparse
-    if reduction >= FURTHER_FALL and found.gain > CLEAR_LEVELS * found.level and agrees:
-        return True
-    if found.gain >= max(FURTHER_LEVELS * found.level, FURTHER_SHARE * first_gain) and held_out >= AGREED_NATS:
-        return True
-    if held_out >= CONFIRMED_NATS and reduction >= CONFIRMED_FALL:
-        return True
-    confirmed = held_out >= CONFIRMED_NATS or (reduction >= STRONG_FALL and held_out > 0)
-    return found.gain >= STRONG_SHARE * first_gain and confirmed
+def _why_rejected(assessment: Assessment) -> str:
+    """Return what is wrong with a best candidate that is not accepted."""
+    return NOT_CONFIRMED if assessment.large_enough else "is significant, but lowers the squared error too little"
 
 
 def needs_exhaustive_search(dataset: Dataset, fitted: FittedModel) -> bool:

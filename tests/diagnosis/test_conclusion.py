@@ -98,10 +98,10 @@ def test_what_was_found_or_ties_is_not_reported_as_undetected(case) -> None:
     assert list(lines) == ["gravity", "cogging"]
     assert "it gains 50 nats, more than chance, but gains far less than another effect" in lines["gravity"]
     for worth, why in (
-        (Assessment(1.1, 20.0, False, True), "but lowers the squared error too little"),
-        (Assessment(2.0, -5.0, True, False), "but does not lower the error on held-out segments"),
-        (Assessment(2.0, 20.0, True, True), "but was rejected by the search"),
-        (Assessment(2.0, 20.0, True, True, (9.0, 2.0)), "but explains the residual less well than another effect"),
+        (Assessment(20.0, 1.1, 30.0), "but lowers the squared error too little"),
+        (Assessment(20.0, 2.0, 15.0), "but does not make segments likelier that its parameters were not fitted to"),
+        (Assessment(20.0, 2.0, 30.0), "but was rejected by the search"),
+        (Assessment(20.0, 2.0, 30.0, (9.0, 2.0)), "but explains the residual less well than another effect"),
     ):
         [compared] = detection_limits([replace(tried[1], assessment=worth)], null, base)
         assert undetected([compared], model)["gravity"].endswith(why)

@@ -15,9 +15,8 @@ from bristle.diagnosis.estimation.optimiser import pressed_bounds, refit, refit_
 from bristle.diagnosis.estimation.simulator import Free, free_parameters
 from bristle.diagnosis.estimation.uncertainty import covariance
 from bristle.diagnosis.localisation.residual_response import ResidualResponse
-from bristle.diagnosis.selection.criterion import NATS_PER_PARAMETER
 from bristle.diagnosis.selection.start_values import SearchContext
-from bristle.diagnosis.selection.stepwise import evaluate_candidates
+from bristle.diagnosis.selection.stepwise import NATS_PER_PARAMETER, evaluate_candidates
 
 TRUE = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12}
 HIDDEN = {  # effect: (parameters it was simulated with, largest error relative to them)
