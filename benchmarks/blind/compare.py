@@ -43,7 +43,7 @@ def table(old: Sequence[Judged], new: Sequence[Judged]) -> str:
     lines += ["", "| case | group | gap ratio | hidden | old | new |", "|---|---|---|---|---|---|"]
     for a, b in zip(old, new, strict=True):
         if said(a) != said(b):
-            lines.append(f"| {a.answer['index']} | {a.group} | {a.ratio:.1f} | {truth(a)} | {said(a)} | {said(b)} |")
+            lines.append(f"| {a.answer['case']} | {a.group} | {a.ratio:.1f} | {truth(a)} | {said(a)} | {said(b)} |")
     return "\n".join(lines)
 
 

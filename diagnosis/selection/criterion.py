@@ -15,10 +15,9 @@ from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import TIE_NATS, refit_with_noise
 from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_nonsmooth, resume
-from bristle.diagnosis.estimation.predictive import predictive_density
 from bristle.diagnosis.selection.candidates import OUT_OF_TIME, Assessment, Candidate
 from bristle.diagnosis.selection.discretisation import finer_gain
-from bristle.diagnosis.selection.effect_size import fall
+from bristle.diagnosis.selection.effect_size import fall, predictive_density
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effects as all_effects
@@ -79,7 +78,7 @@ def accept_or_reject(
     contenders = _inside_limits(context, contenders)
     plain = _refitted_plain(problem, context.fit, _likeliest(contenders))
     comparison = Comparison.of(context.dataset, problem, plain)
-    contenders = [replace(c, assessment=c.fit and comparison.assess(c.fit, null.level(c.name))) for c in contenders]
+    contenders = [replace(c, assessment=comparison.assess(c.fit, null.level(c.name))) for c in contenders if c.fit]
     accepted = [c for c in contenders if c.assessment and c.assessment.accepted]
     best = simplest(accepted) if accepted else _likeliest(contenders)
     uniform = bool(context.dataset.poor_excitation)
