@@ -15,14 +15,23 @@ SWITCHING_TOLERANCE = 1e-10  # overshoot of a switching point, relative to the s
 def passed(system: System, end: SX, h: SX) -> list[SX]:
     """Return how much farther a step of length h that ends in the states `end` goes past each switching point.
 
-    Taken as an error of the step, it makes the step control locate the point. Where a step begins past it, because an
-    input jumped or a state was set, the excess counts in proportion to the length: the mode switches after a very short time.
+    Taken as an error of the step, it makes the step control locate the point, also if the motion reverses between it and the end.
+    Where a step begins past it, because an input jumped or a state was set, the excess counts in proportion to the length: the mode
+    switches after a very short time. So it does where an element that slipped and reversed, and so sticks past its limit by an
+    overshoot, reverses once more.
 
     Source: gear1984 (the control of the step locates a discontinuity).
     """
     x, longest = system.vector(list(system.states)), system.symbols[MAX_STEP.name]
-    before = {name: ca.fmax(margin, 0) * (1 - h / longest) for name, margin in system.margins.items()}
-    return [ca.substitute(margin, x, end) - before[name] - SWITCHING_TOLERANCE for name, margin in system.margins.items()]
+    found = []
+    for name, margin in system.margins.items():
+        before, late = margin, ca.substitute(margin, x, end)
+        if name in system.directed:
+            way = system.directed[name]
+            before = ca.fmax(way.forward, way.backward)
+            late = ca.fmax(late, ca.if_else(way.speed > 0, *ca.substitute([way.forward, way.backward], [x], [end])))
+        found.append(late - ca.fmax(before, 0) * (1 - h / longest) - SWITCHING_TOLERANCE)
+    return found
 
 
 def at_the_point(system: System, end: SX, h: SX) -> SX:

@@ -67,6 +67,15 @@ class DryRow:
     damping: Any = None
 
 
+@dataclass(frozen=True)
+class Directed:
+    """How far a system is past a switching point if it moves forward, and if it moves backward; and its present speed."""
+
+    forward: SX
+    backward: SX
+    speed: SX
+
+
 @dataclass
 class System:
     """A servo, an observer or a controller as equations over named symbols.
@@ -91,6 +100,7 @@ class System:
     modes: dict[str, State] = field(default_factory=dict)
     updates: dict[str, SX] = field(default_factory=dict)
     margins: dict[str, SX] = field(default_factory=dict)
+    directed: dict[str, Directed] = field(default_factory=dict)
     ends: dict[str, SX] = field(default_factory=dict)
     followed: dict[str, SX] = field(default_factory=dict)
     dry: DryRow | None = None
@@ -167,12 +177,15 @@ class System:
         """Set the next value of a sampled state or a mode."""
         self.updates[name] = SX(expression)
 
-    def margin(self, name: str, past: SX) -> None:
+    def margin(self, name: str, past: SX, directed: Directed | None = None) -> None:
         """Set how far the system is past the switching point of a mode, relative to its size; at most 0 before the point.
 
-        No internal step then overshoots it by more than the tolerance, and derivatives are right across it.
+        No internal step then overshoots it by more than the tolerance, and derivatives are right across it. `directed`: the same by
+        direction, where `past` jumps when the motion reverses.
         """
         self.margins[name] = SX(past)
+        if directed is not None:
+            self.directed[name] = directed
 
     def output(self, variable: Variable, expression: SX) -> None:
         """Declare an output and its equation."""

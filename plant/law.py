@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
+from bristle.model.system import Directed
 from bristle.model.variables import Namespace, Parameter, State
 
 __all__ = ["Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth"]
@@ -23,7 +24,7 @@ class Friction:
     `force` [N.m] opposes the motion and comes on top of the viscous a2 v; `rates` are the law's own states'; `bound`
     [N.m], where given, is set-valued dry friction in addition; `true` gives the normalised parameters that an observer
     can be compared with (only those the law has: alpha2 and b are the servo's). `switches` gives for each mode of the law
-    its next value, and how far past its switching point it is (as of `System.margin`).
+    its next value, how far past its switching point it is and, if need be, the same by direction (as of `System.margin`).
 
     All is at nominal load. The servo multiplies the forces by the load and leaves the states as they are: stiffness,
     damping and levels grow in proportion to the load, deflections and the distances over which they relax do not change.
@@ -35,7 +36,7 @@ class Friction:
     rates: dict[str, SX] = field(default_factory=dict)
     bound: SX | None = None
     true: dict[str, SX] = field(default_factory=dict)
-    switches: dict[str, tuple[SX, SX]] = field(default_factory=dict)
+    switches: dict[str, tuple[SX, SX] | tuple[SX, SX, Directed]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from bristle.model.system import Directed
 from bristle.model.variables import Parameter, State
 
 SX = ca.SX
@@ -21,7 +22,7 @@ class Element:
     """The equations of one element: rate of its force; next value of its mode, and how far it is past its switching point."""
 
     rate: SX
-    switch: tuple[SX, SX]
+    switch: tuple[SX, SX, Directed]
 
 
 def element(force: SX, slip: SX, speed: SX, stiffness: SX, limit: SX, sliding: SX, sizes: tuple[SX, SX]) -> Element:
@@ -36,7 +37,8 @@ def element(force: SX, slip: SX, speed: SX, stiffness: SX, limit: SX, sliding: S
     sticks = slip == 0
     following = ca.if_else(sticks, ca.if_else(excess >= 0, ca.sign(speed), 0), ca.if_else(slip * speed > 0, slip, 0))
     past = ca.if_else(sticks, excess / sizes[0], -slip * speed / sizes[1])
-    return Element(ca.if_else(sticks, stiffness * speed, sliding), (following, past))
+    forward, backward = (ca.if_else(sticks, (way * force - limit) / sizes[0], past) for way in (1, -1))
+    return Element(ca.if_else(sticks, stiffness * speed, sliding), (following, past, Directed(forward, backward, speed)))
 
 
 def stiffnesses(law: str, source: str) -> tuple[Parameter, ...]:

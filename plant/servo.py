@@ -84,9 +84,9 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     system.rate("v", (torque - smooth) / inertia)
     for name, rate in friction.rates.items():
         system.rate(name, rate)
-    for name, (following, past) in friction.switches.items():
+    for name, (following, *past) in friction.switches.items():
         system.update(name, following)
-        system.margin(name, past)
+        system.margin(name, *past)
     force = smooth
     if bound is not None and bristles is not None:
         force = smooth + _bristles(system, inertia, bound, backward, *bristles)

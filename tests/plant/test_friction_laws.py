@@ -45,9 +45,9 @@ def alone(name):
     friction = which.equations(own, v)
     for state, rate in friction.rates.items():
         system.rate(state, rate)
-    for mode, (following, past) in friction.switches.items():
+    for mode, (following, *past) in friction.switches.items():
         system.update(mode, following)
-        system.margin(mode, past)
+        system.margin(mode, *past)
     for what, rate, size in (("x", v, 1e-3), ("work", friction.force * v, 1e-6)):
         system.state(State(what, "1", what, scale=size))
         system.rate(what, rate)
@@ -556,3 +556,28 @@ def test_derivatives_are_those_of_the_motion_over_every_switch(name):
         ends = [Native(program, fine | {parameter: (1 + d) * value}).run(H, {"u": u}, record)[0] for d in (1e-4, -1e-4)]
         difference = (ends[0] - ends[1]) / (2e-4 * value)
         assert np.all(np.abs(sens[:, :2, k] - difference) <= 1e-4 * np.max(np.abs(difference), axis=0)), parameter
+
+
+def started(law: str, **states: float) -> Native:
+    """Return a servo with a law whose own states have given values."""
+    program = servo_program(law)
+    native = Native(program)
+    values = native.values
+    for name, value in states.items():
+        values[program.index[f"{law}.{name}"]] = value
+    values[program.index["v"]] = states["v"]
+    native.write(values)
+    return native
+
+
+def test_elements_that_overshot_their_limit_slip_again_after_two_reversals():
+    """Elements let go together are at their limits together, each past it by an overshoot that the tolerance allows."""
+    limits = {f"F{i}": share * 0.0072 + 4e-10 for i, share in enumerate((0.1, 0.2, 0.3, 0.4), start=1)}
+    rows, _ = started("gms", v=-1e-4, **limits).run(1e-3, {"u": np.full(20, 3.0)}, ["v", "gms.slip1", "gms.slip4"])
+    assert rows[-1, 0] > 0.1
+    assert rows[-1, 1:].tolist() == [1, 1]
+    states = {"v": 0.757608, "F1": 0.00079398, "F2": 0.00159624, "F3": 0.00109585, "F4": 0.000668428}  # of a controlled servo
+    u = np.array([0.603, 0.3842, 1.027, 0.3509, 0.3397, 0.7043, 0.8012, 1.521, 0.5799])
+    rows, _ = started("leuven", **states).run(1e-3, {"u": u}, ["v", "leuven.F1", "leuven.F2"])
+    assert 0.74 < rows[-1, 0] < 0.77
+    assert rows[-1, 1:] == pytest.approx([0.0008, 0.0016], rel=1e-6)

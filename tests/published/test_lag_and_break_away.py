@@ -46,9 +46,9 @@ def alone(name: str) -> Program:
     friction = which.equations(own, v)
     for state, rate in friction.rates.items():
         system.rate(state, rate)
-    for mode, (following, past) in friction.switches.items():
+    for mode, (following, *past) in friction.switches.items():
         system.update(mode, following)
-        system.margin(mode, past)
+        system.margin(mode, *past)
     system.output(Variable("F", "N.m", "friction"), friction.force)
     return Program("Alone", [system])
 
