@@ -29,7 +29,8 @@ def passed(system: System, end: SX, h: SX) -> list[SX]:
         if name in system.directed:
             way = system.directed[name]
             before = ca.fmax(way.forward, way.backward)
-            late = ca.fmax(late, ca.if_else(way.speed > 0, *ca.substitute([way.forward, way.backward], [x], [end])))
+            forward, backward = ca.substitute([way.forward, way.backward], [x], [end])
+            late = ca.fmax(late, ca.if_else(way.speed > 0, forward, backward))
         found.append(late - ca.fmax(before, 0) * (1 - h / longest) - SWITCHING_TOLERANCE)
     return found
 
