@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len, rfft, rfftfreq
+from scipy.fft import rfft, rfftfreq
 from scipy.stats import binom
 from scipy.stats import f as f_ratio
 
@@ -25,12 +25,13 @@ Array = NDArray[np.float64]
 
 FOLDS = 5  # of the cross-validation over segments
 SIGN_DRAWS = 999  # draws of random signs of the segments for a p
+DRAWS_AT_ONCE = 50  # draws whose spectra are computed together
 SUFFICIENT_DRAWS = 20  # draws as high as the observed line after which a spectral line counts as an ordinary one
 LEAST_VIEW_P = 1 / (1 + SIGN_DRAWS)  # smallest p that is reported
 LISTED_VIEW_P = 0.05  # p up to which a view is listed ahead of the others
 VIEW_RIDGE = 1e-3  # ridge of a view's regression, relative to its mean power
 TONE_BAND = (0.2, 45.0)  # frequencies [Hz] at which an oscillation in time is searched
-SPECTRUM_PADDING = 4  # length of a zero-padded spectrum over that of the record, at least
+SPECTRUM_PADDING = 4  # length of a zero-padded spectrum over that of the record
 MOST_PERIODS = 60  # periods in a turn up to which a wave along the position is searched
 MAPPED_VIEWS = 6  # views whose residual is drawn
 SENSOR_VIEWS = ("du",)  # views that contain the sensor's own noise in a closed loop, which a residual follows in any case
@@ -39,25 +40,27 @@ OUTLIERS = "some stretches"  # name of their view, in diagnosis.json too
 
 
 def spectrum(time: Array, clock: NDArray[np.int_], rough: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Return frequencies (k,) [Hz] within `TONE_BAND`, and a function: signs (segments,) -> amplitudes (k,) of the torque there.
+    """Return frequencies (k,) [Hz] within `TONE_BAND`, and a function: signs (..., segments) -> amplitudes (..., k) of the torque.
 
     `time` and the torque `rough` are averaged by bins (segments, bins), `clock` is (segments,). The powers of segments with
-    different clocks are added, because their phases are unrelated.
+    different clocks are added, because their phases are unrelated. Each segment is transformed once: a spectrum is linear in it.
     """
     step = float(np.median(np.diff(time, axis=1)))
     which, row = np.unique(clock, return_inverse=True)
     first = np.array([time[row == k].min() for k in range(len(which))])
     place = np.rint((time - first[row, None]) / step).astype(int)
     length = int(place.max()) + 1
-    padded = next_fast_len(SPECTRUM_PADDING * length, real=True)
-    frequency = rfftfreq(padded, step)
+    frequency = rfftfreq(SPECTRUM_PADDING * length, step)
     inside = (frequency >= TONE_BAND[0]) & (frequency <= TONE_BAND[1])
 
+    even = np.zeros((len(rough), length))
+    np.put_along_axis(even, place, rough, axis=1)
+    lines = np.array([rfft(each, SPECTRUM_PADDING * length)[inside] for each in even])
+
+    own = [(row == k, part[row == k].copy()) for k in range(len(which)) for part in (lines.real, lines.imag)]
+
     def amplitudes(signs: Array) -> Array:
-        even = np.zeros((len(which), length))
-        even[row[:, None], place] = signs[:, None] * rough
-        lines = np.abs(rfft(even, padded, axis=1)[:, inside])
-        return np.asarray(np.sqrt(np.square(lines).sum(axis=0)))
+        return np.asarray(np.sqrt(sum(np.square(signs[..., mine] @ part) for mine, part in own)))
 
     return np.asarray(frequency[inside]), amplitudes
 
@@ -129,10 +132,11 @@ def line_p(time: Array, clock: NDArray[np.int_], rough: Array, signs: Array) -> 
     """
     _, amplitudes = spectrum(time, clock, rough)
     seen, higher = amplitudes(signs[0]).max(), 0
-    for drawn, each in enumerate(signs[1:], 1):
-        higher += bool(amplitudes(each).max() >= seen)
-        if higher == SUFFICIENT_DRAWS:
-            return higher / drawn
+    for first in range(1, len(signs), DRAWS_AT_ONCE):
+        counted = higher + np.cumsum(amplitudes(signs[first : first + DRAWS_AT_ONCE]).max(axis=1) >= seen)
+        if counted[-1] >= SUFFICIENT_DRAWS:
+            return SUFFICIENT_DRAWS / (first + int(np.searchsorted(counted, SUFFICIENT_DRAWS)))
+        higher = int(counted[-1])
     return (1 + higher) / len(signs)
 
 
