@@ -569,7 +569,7 @@ def _explain(error: BaseException) -> str:
         return "bristle: no command; choose one of list, build, run, reproduce, init, diagnose, validate, or see bristle --help"
     if type(error).__name__ == "NoSuchOption":  # click also proposes options that are hardly alike
         name, known = getattr(error, "option_name", ""), getattr(error, "possibilities", None) or []
-        error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]
+        error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]  # of click, by its name
     if usage is not None:
         context = getattr(error, "ctx", None)
         command = "bristle" if context is None or context.parent is None else f"bristle {context.info_name}"

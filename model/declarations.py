@@ -66,7 +66,7 @@ def checked_declarations(
     found = list(found)
     declared = declarations(found, attribute, kind)
     plugins = {each.file for each in found if each.plugin}
-    by_name = {part.name: replace(part, file=file if file in plugins else "") for file, part in declared.items()}  # type: ignore[type-var]  # a dataclass
+    by_name = {part.name: replace(part, file=file if file in plugins else "") for file, part in declared.items()}  # type: ignore[type-var]  # law, effect or method: each a dataclass
     for file, part in declared.items():
         try:
             _check(part)

@@ -85,7 +85,7 @@ def _servo(values: Mapping[str, float]) -> ctypes.Structure:
     bare = re.sub(r"/\*.*?\*/", "", body[1])
     names = [name.strip() for line in re.findall(r"double ([^;]*);", bare) for name in line.split(",")]
     kind = type("Servo", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_double) for name in names]})
-    return kind(**values)  # type: ignore[no-any-return]
+    return kind(**values)  # type: ignore[no-any-return]  # a class made of the fields in servo.c
 
 
 def _pointer(array: Array) -> ctypes.c_void_p:
@@ -221,7 +221,7 @@ def _conditions() -> dict[str, Condition]:
     found: list[Condition] = [Condition("standard", "reference")]
 
     def add(group: str, name: str, **changes: object) -> None:
-        found.append(replace(Condition(name, group), **changes))  # type: ignore[arg-type]
+        found.append(replace(Condition(name, group), **changes))  # type: ignore[arg-type]  # of the fields of a condition, each of its own type
 
     for corner in (2.0, 10.0):
         add("reference", f"noise {corner:g} rad/s", corner=corner)

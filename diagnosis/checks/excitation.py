@@ -27,9 +27,7 @@ HALF_TURN = float(np.pi)  # rad
 COARSE_PERIOD = 0.02  # s: sampling period above which an input that changes between samples is poorly known
 SHORT_DURATION = 5.0  # s: duration of all records below which too few segments can be held out
 SINE_RANGE = float(np.pi / 2)  # rad: range below which a sine of the position is nearly a straight line
-LEAST_INERTIA = (
-    0.3  # of the input: mean torque of the inertia below which, in so small a range, friction is nearly all that is seen
-)
+LEAST_INERTIA = 0.3  # of the input: mean torque of the inertia below which a motion in so small a range shows little but friction
 VELOCITY_CAVEAT = (
     "velocities only: position 0 is assumed at the beginning of each record; effects that depend on the position are found, with "
     "the right phase, only if all records begin at the same position"

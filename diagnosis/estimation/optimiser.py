@@ -44,14 +44,19 @@ def _gradient(fit: Fit) -> Array:
     return gradient
 
 
+def damped(information: Array, damping: float) -> Array:
+    """Return an information (k, k) with each curvature enlarged by a share, and by enough to be inverted where there is none."""
+    diagonal = np.diag(information)
+    return np.asarray(information + np.diag(damping * diagonal + 1e-12 * (1 + diagonal.max(initial=0.0))))
+
+
 def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
     """Return the step of the parameters (free,), of the initial states (segments, width), and the predicted gain [nats]."""
     gradient = _gradient(fit)
     active = np.ones(len(fit.free), dtype=bool)
     step = np.zeros(len(fit.free))
     for _ in range(len(fit.free) + 1):  # parameters that would leave their interval stay
-        h = fit.information[np.ix_(active, active)]
-        h = h + np.diag(damping * np.diag(h) + 1e-12 * (1 + np.diag(h).max(initial=0.0)))
+        h = damped(fit.information[np.ix_(active, active)], damping)
         step = np.zeros(len(fit.free))
         step[active] = np.linalg.solve(h, gradient[active])
         leaving = [i for i, f in enumerate(fit.free) if active[i] and f.leaves(fit.values[f.name], step[i])]

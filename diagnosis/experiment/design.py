@@ -88,13 +88,12 @@ class _Trial:
     outputs: tuple[Array, ...]
     gain: float
 
-    def rank(self, case: Case) -> tuple[bool, bool, float]:
-        """Return what inputs are compared by: whether it decides, whether a name may follow from all records then, its gain."""
+    def allows_a_name(self, case: Case) -> bool:
+        """True if it decides, and a name may follow from all records then."""
         some, h = case.records[0], case.dataset.segments.h
         time = np.asarray(h * np.arange(len(self.u)), dtype=np.float64)
         record = replace(some, time=time, u=self.u, y=self.outputs[0], velocity=None)
-        decides = self.gain > TIE_NATS
-        return decides, decides and not excitation(case.model, [*case.records, record])["narrow"], self.gain
+        return self.gain > TIE_NATS and not excitation(case.model, [*case.records, record])["narrow"]
 
 
 def _class_of(rival: Rival) -> str:
@@ -118,7 +117,9 @@ def design(case: Case, found: Conclusion, options: SearchOptions) -> DesignedInp
     plan = _Design(rivals, usual, Setup(s, case.dataset.resolution, start, ends))
     choice = inputs(_axis(rivals[0], m.u), usual, [piece.u for piece in s.pieces], (n, s.h), plan.follow)
     trials = [trial for trial in options.map(plan.tried, choice) if trial is not None]
-    return _described(plan, case, max(trials, key=lambda trial: trial.rank(case), default=None))
+    ordered = sorted(trials, key=lambda trial: -trial.gain)
+    best = next((trial for trial in ordered if trial.allows_a_name(case)), ordered[0] if ordered else None)
+    return _described(plan, case, best)
 
 
 def _axis(rival: Rival, u: Array) -> Axis:

@@ -153,6 +153,11 @@ class Input:
     what: str
     levels: tuple[Array, ...]
 
+    @classmethod
+    def at_levels(cls, what: str, u: Array) -> Input:
+        """Return an input (n,) at all `INPUT_LEVELS`."""
+        return cls(what, tuple(level * u for level in INPUT_LEVELS))
+
 
 def inputs(axis: Axis, limits: Limits, recorded: Sequence[Array], samples: tuple[int, float], follow: Follow) -> list[Input]:
     """Return inputs of so many samples of length h [s] to choose from, the same each time; `follow` as of `steps`."""
@@ -164,14 +169,14 @@ def inputs(axis: Axis, limits: Limits, recorded: Sequence[Array], samples: tuple
         plan = planned(rng, axis, limits, spare, h)
         found.append(Input("steps of many sizes with rests, ramps and sweeps", (steps(rng, axis, plan, n, follow),)))
     if axis.friction > 0:
-        found.append(Input("slow ramps of the input through zero", tuple(level * ramps(axis, n, h) for level in INPUT_LEVELS)))
+        found.append(Input.at_levels("slow ramps of the input through zero", ramps(axis, n, h)))
     for u in recorded:
         quick = np.interp(QUICKER * np.arange(int(len(u) / QUICKER)), np.arange(len(u)), u)
-        found.append(Input("a recorded input", tuple(level * np.resize(u, n) for level in INPUT_LEVELS)))
-        found.append(Input("a recorded input, quickened", tuple(level * np.resize(quick, n) for level in INPUT_LEVELS)))
+        found.append(Input.at_levels("a recorded input", np.resize(u, n)))
+        found.append(Input.at_levels("a recorded input, quickened", np.resize(quick, n)))
         for seed in range(VARIED_DRAWS):
             other = varied(np.random.default_rng(seed), u, n, h)
-            found.append(Input("a recorded input, its pace and size varied", tuple(level * other for level in INPUT_LEVELS)))
+            found.append(Input.at_levels("a recorded input, its pace and size varied", other))
     return found
 
 

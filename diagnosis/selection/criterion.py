@@ -143,18 +143,16 @@ def _refitted_plain(problem: Problem, fit: Fit, best: Candidate) -> Fit:
 class Comparison:
     """What a model with a further effect, or another shape of one, is compared with."""
 
-    plain: Fit  # model without it, on the training segments
-    density: Array  # (segments,): its log predictive density [nats]
+    density: Array  # (segments,): log predictive density of the model without it [nats]
     held_out: Problem
-    squares: Array  # (training segments,): its mean squared errors
+    squares: Array  # (training segments,): mean squared errors of the model without it
     train: NDArray[np.bool_]
 
     @classmethod
     def of(cls, dataset: Dataset, problem: Problem, plain: Fit) -> Comparison:
         """Return it for a model without the effect, fitted under the problem of the training segments."""
         held_out = problem.only(dataset.held_out)
-        density = predictive_density(held_out, plain)
-        return cls(plain, density, held_out, squares(plain, dataset.train), dataset.train)
+        return cls(predictive_density(held_out, plain), held_out, squares(plain, dataset.train), dataset.train)
 
     def assess(self, fit: Fit, level: float) -> Assessment:
         """Return what a model with the effect is worth; `level` is the gain that chance reaches [nats]."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, Fit, Problem
-from bristle.diagnosis.estimation.optimiser import refit_initial_states
+from bristle.diagnosis.estimation.optimiser import damped, refit_initial_states
 
 LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error
 OUTLIER_QUARTILES = 10.0  # times the upper quartile of the segments' squared errors: most that one segment counts for
@@ -34,9 +34,7 @@ def predictive_density(held_out: Problem, fit: Fit) -> Array:
     columns = fit.by_parameter[:, :, inside]
     own = np.matmul(columns.transpose(0, 2, 1), fit.elimination.project(columns))
     slopes, weight = fit.slopes[:, inside], fit.weight[:, None]
-    whole = fit.information[np.ix_(inside, inside)]
-    diagonal = np.diag(whole)
-    rest = whole + np.diag(FOLD_DAMPING * diagonal + 1e-12 * (1 + diagonal.max(initial=0.0))) - weight[:, :, None] * own
+    rest = damped(fit.information[np.ix_(inside, inside)], FOLD_DAMPING) - weight[:, :, None] * own
     step = -np.linalg.solve(rest, (weight * slopes)[:, :, None])[:, :, 0]
     counted = fit.weight > 0
     scale = T_DEGREES_OF_FREEDOM + fit.white.shape[1] - 2
