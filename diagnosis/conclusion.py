@@ -204,7 +204,8 @@ def _hindrance(c: Conclusion) -> str:
     if c.rounds[-1].outcome == "limit":
         return c.rounds[-1].decision
     if c.rounds[-1].untried and not c.undecided:
-        return f"the time budget was used up before {len(c.rounds[-1].untried)} effects were tried"
+        so_far = f"; so far, {c.rounds[-1].decision}" if c.rounds[-1].outcome == "rejected" else ""
+        return f"the time budget was used up before {len(c.rounds[-1].untried)} effects were tried{so_far}"
     if c.remains.disturbance > DOMINANT_DISTURBANCE and not c.undecided:
         size = f"{c.remains.disturbance:.0%} of the input"
         return f"the model needs a disturbance of {size} to follow them; check columns, signs and units"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
@@ -14,6 +15,7 @@ from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
 from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
+from bristle.diagnosis.estimation.deadline import OutOfTime, check_deadline, until
 from bristle.diagnosis.experiment.design import design
 from bristle.diagnosis.experiment.sentence import designed_line
 from bristle.diagnosis.filling import unnamed_torque, with_unnamed_torque
@@ -26,9 +28,13 @@ from bristle.diagnosis.whole.refit import refit_to_whole_records
 from bristle.records.clock import must_agree
 from bristle.records.record import Record
 
-SEARCH_SHARE = 0.6  # of a time budget: after it no further effect is tried
+SEARCH_SHARE = 0.6  # of a time budget: after it no further effect is tried, and those under way are left
+COMPARISON_SHARE = 0.75  # of a time budget: after it effects are no longer compared, nor one refitted that was found
 REFIT_SHARE = 0.8  # of a time budget: after it parameters are not refitted to whole records, and no unnamed torque is fitted
 DESIGN_SHARE = 0.9  # of a time budget: after it no experiment is designed
+END_SHARE = 1.0  # of a time budget: after it none of these is gone on with
+
+T = TypeVar("T")
 
 
 def diagnose(
@@ -92,45 +98,53 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
     started = time.perf_counter()
     options = replace(options, deadline=started + SEARCH_SHARE * options.budget)
 
-    def within(share: float) -> bool:
-        return time.perf_counter() < started + share * options.budget
+    def in_time(begin: float, result: Callable[[], T]) -> T | None:
+        """Return a result, None where a share of the budget is gone before it is begun, or almost all before it is there."""
+        try:
+            with until(started + begin * options.budget):
+                check_deadline()
+            with until(started + END_SHARE * options.budget):
+                return result()
+        except OutOfTime:
+            return None
 
     with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
         while True:
             prepared = prepare(records)
             if isinstance(prepared, answer.Diagnosis):
                 return replace(prepared, seconds=time.perf_counter() - started)
-            outcome = search(prepared.case.dataset, prepared.case.base, _reporting(options, tell))
+            with until(started + COMPARISON_SHARE * options.budget):
+                outcome = search(prepared.case.dataset, prepared.case.base, _reporting(options, tell))
             if outcome.input_share is None:
                 break
             records = with_input_share(records, outcome.input_share)
         tell("residual", 0.85)
         found = conclude(prepared.case, outcome)
         tell("whole records", 0.9)
-        refit = within(REFIT_SHARE)
-        refitted, whole = refit_to_whole_records(prepared.case, found, refit)
+        case = prepared.case
+        refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
+        refitted, whole = refit or refit_to_whole_records(case, found, refit=False)
         more = prepared.additions(found)
-        fill = within(REFIT_SHARE)
-        unnamed = unnamed_torque(prepared.case, found) if fill else None
+        fill = in_time(REFIT_SHARE, lambda: [unnamed_torque(case, found)])
         tell("what to measure next", 0.95)
-        ask = within(DESIGN_SHARE)
-        designed = design(prepared.case, found, options) if ask else None
+        ask = in_time(DESIGN_SHARE, lambda: [design(case, found, options)])
         done = {
             "parameters were not refitted to whole records": refit,
             "no unnamed torque": fill,
             "no input of a further record": ask,
         }
-        left = _cut_short(outcome, options, [what for what, was in done.items() if not was])
+        left = _cut_short(outcome, options, [what for what, was in done.items() if was is None])
         more = replace(more, findings_after=(*more.findings_after, *left))
-        said = with_unnamed_torque(as_diagnosis(prepared.case, refitted, whole, more), unnamed)
-        text = " ".join(filter(None, (said.experiment, designed_line(designed, prepared.case.model))))
+        [unnamed], [designed] = fill or [None], ask or [None]
+        said = with_unnamed_torque(as_diagnosis(case, refitted, whole, more), unnamed)
+        text = " ".join(filter(None, (said.experiment, designed_line(designed, case.model))))
         return replace(said, experiment=text, designed=designed, seconds=time.perf_counter() - started)
 
 
 def _cut_short(outcome: SearchOutcome, options: SearchOptions, later: Sequence[str]) -> list[str]:
     """Return a line on what a time budget left out, of the search and after it (`later`), if it did."""
     left = [f"effects not tried in the last round: {', '.join(outcome.rounds[-1].untried)}"] if outcome.rounds[-1].untried else []
-    left += ["no further effect was looked for"] if outcome.ended_early and not left else []
+    left += [outcome.cut_short] if outcome.cut_short and not left else []
     left += later
     return [f"the time budget of {options.budget:g} s was used up: {'; '.join(left)}"] if left else []
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Segments
+from bristle.diagnosis.estimation.deadline import check_deadline
 from bristle.diagnosis.estimation.noise import Noise
 from bristle.diagnosis.estimation.simulator import Free, Simulator
 
@@ -160,7 +161,8 @@ class Problem:
 
 
 def evaluate(problem: Problem, point: Point) -> Fit:
-    """Simulate at a point and return its likelihood with derivatives."""
+    """Simulate at a point and return its likelihood with derivatives; raise `OutOfTime` after the deadline."""
+    check_deadline()
     simulator, values = point.simulator, point.values
     simulated, sens, good, initial = simulator.run(values, point.initial, jacobian=True)
     assert sens is not None

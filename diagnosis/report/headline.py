@@ -18,7 +18,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if not diagnosis.remains.flag:
         return _found(diagnosis)
     if diagnosis.verdict == "none":
-        return f"{NOT_ENOUGH}: something is missing, and no effect of the catalogue explains it"
+        return f"{NOT_ENOUGH}: something is missing, and no effect that was tried explains it"
     if diagnosis.verdict == "named":
         return f"{NOT_ENOUGH}: {_lacking(diagnosis)}"
     found = _found(diagnosis)

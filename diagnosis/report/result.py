@@ -163,6 +163,7 @@ class WholeRecords:
     whole: bool  # whether that is the longest record
     segment_parameters: dict[str, Estimate]
     traces: tuple[Trace, ...]  # in open loop, a value a sample
+    tried: bool = True  # whether a refit was
 
     @property
     def refitted(self) -> bool:

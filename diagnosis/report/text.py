@@ -204,7 +204,8 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
     if last.before != last.after:
         found += f", {last.before:.3g} {unit} before" if math.isfinite(last.before) else "; before, the simulation failed"
     if not whole.refitted:
-        why = f"a refit to more than segments of {segment:.3g} s does not lower the error where it was not fitted"
+        longer = f"a refit to more than segments of {segment:.3g} s"
+        why = f"{longer} does not lower the error where it was not fitted" if whole.tried else f"{longer} was not tried"
         return f"{found}. Its parameters are those of the segments: {why}."
     to = "whole records" if whole.whole else f"stretches of {whole.refitted_to:.3g} s, longer ones do not help"
     usual = f"with those of segments of {segment:.3g} s the error is {last.segments:.3g} {unit}"
@@ -220,7 +221,7 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
         said = f"{100 * left.share:.0f} % of the residual's power is in {FAR_OFF} ({left.label})"
     else:
         said = f"{100 * left.share:.0f} % of the residual can be predicted from {view_name(left.view, left.label)}"
-    end = "with none of the tied effects added" if open_tie else "and no effect of the catalogue explains it"
+    end = "with none of the tied effects added" if open_tie else "and no effect that was tried explains it"
     return f"Unexplained residual: {said}, {end}."
 
 

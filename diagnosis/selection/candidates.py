@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
+from bristle.diagnosis.estimation.deadline import OutOfTime, until
 from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise
@@ -21,7 +22,7 @@ from bristle.plant.effects import effect as find_effect
 
 Trial = tuple[float, Fit]  # predicted log-likelihood [nats] and the fit at a start value
 CLIMB_REPEATS = 4  # most repetitions of the steps of a candidate that is still below the model without it, but rising
-OUT_OF_TIME = "not tried: the time budget was used up"
+OUT_OF_TIME = "not tried, or not to the end: the time budget was used up"
 INERT_GAIN = (-20.0, 2.0)  # nats: predicted gain of an effect that has no influence at its start values
 CONTACT_DEFICIT = 1000.0  # nats: a contact that is predicted to stay this far below the model without it is not refitted
 WAVE_STARTS = 8  # start values of a searched frequency that are refitted where the model fits poorly
@@ -119,7 +120,14 @@ def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort)
             return Candidate(name, None, reason=OUT_OF_TIME)
         done.append(name)
         context.options.progress(name, (len(done) - 1) / max(len(names), 1))
-        return _screened(context, name, effort)
+        return in_time(lambda: _screened(context, name, effort), Candidate(name, None))
+
+    def in_time(candidate: Callable[[], Candidate], otherwise: Candidate) -> Candidate:
+        try:
+            with until(context.options.deadline):
+                return candidate()
+        except OutOfTime:
+            return replace(otherwise, reason=OUT_OF_TIME)
 
     cheap_first = sorted(names, key=lambda name: bool(find_effect(name).coupling))
     by_name = dict(zip(cheap_first, context.options.map(screened, cheap_first), strict=True))
@@ -129,12 +137,14 @@ def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort)
     if effort is QUICK and find_effect(max(tried, key=lambda c: c.predicted).name).free_play:
         # a shaft that hardens resembles free play, but needs more steps to be found
         stiff = {c.name for c in tried if c.fit and find_effect(c.name).coupling and not find_effect(c.name).free_play}
-        tried = context.options.map(lambda c: _screened(context, c.name, EXHAUSTIVE) if c.name in stiff else c, tried)
+        tried = context.options.map(
+            lambda c: in_time(lambda: _screened(context, c.name, EXHAUSTIVE), c) if c.name in stiff else c, tried
+        )
     null = _null(context, tried)
     chosen = _most_promising(context, tried, null)
     if not chosen:
         return tried, null
-    tried = context.options.map(lambda c: refit_to_end(context, c) if c.name in chosen else c, tried)
+    tried = context.options.map(lambda c: in_time(lambda: refit_to_end(context, c), c) if c.name in chosen else c, tried)
     return tried, _null(context, tried)
 
 

@@ -44,6 +44,7 @@ class SearchRound:
     # in for something else; of a candidate that was "withdrawn", the effect was added and later removed
     outcome: Outcome = "none"
     finer_gain: float | None = None  # gain with finer steps of the simulation [nats]
+    cut_short: bool = False  # whether the time budget kept it from trying all start values
 
     @property
     def named(self) -> bool:

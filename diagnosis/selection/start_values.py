@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, TypeVar
@@ -64,9 +65,10 @@ class SearchOptions:
     jobs : int
         Effects that are tried at a time; 0 for one on each core. The answer is the same for any number.
     budget : float
-        Seconds for the whole diagnosis, about; once most of them are gone no further effect is tried, and the answer says so.
+        Seconds for the whole diagnosis, about; once most of them are gone no further effect is tried, those under way are left,
+        and the answer says so.
     deadline : float
-        When the search ends [s, of `time.perf_counter`]; a diagnosis sets it from the budget.
+        Until when effects are tried [s, of `time.perf_counter`]; a diagnosis sets it from the budget.
     """
 
     progress: Progress = lambda text, fraction: None
@@ -84,8 +86,9 @@ class SearchOptions:
 
     def map(self, function: Callable[[T], S], items: Iterable[T]) -> list[S]:
         """Return the results of a function, in the order of the items; simulations run outside the interpreter's lock."""
+        own = copy_context()  # with the deadline
         with ThreadPoolExecutor(self.jobs or os.cpu_count() or 1, "effects") as pool:
-            return list(pool.map(function, items))
+            return list(pool.map(lambda item: own.copy().run(function, item), items))
 
 
 @dataclass(frozen=True)

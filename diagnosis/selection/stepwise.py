@@ -9,10 +9,20 @@ import numpy as np
 
 from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
+from bristle.diagnosis.estimation.deadline import OutOfTime
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.optimiser import pressed_bounds
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
-from bristle.diagnosis.selection.candidates import EXHAUSTIVE, HOPEFUL_LEVELS, QUICK, Assessment, Candidate, Effort, fit_candidates
+from bristle.diagnosis.selection.candidates import (
+    EXHAUSTIVE,
+    HOPEFUL_LEVELS,
+    OUT_OF_TIME,
+    QUICK,
+    Assessment,
+    Candidate,
+    Effort,
+    fit_candidates,
+)
 from bristle.diagnosis.selection.criterion import (
     SearchRound,
     accept_or_reject,
@@ -35,6 +45,7 @@ from bristle.plant.effects import effects as all_effects
 MOST_EFFECTS = 4  # most effects that are added
 STRUCTURE_P = 0.05  # p of a view of the residual up to which another round follows
 NATS_PER_PARAMETER = 3.3  # nats: least gain beyond the end of an interval that presses against it (1 % level of a likelihood ratio)
+NOT_EXHAUSTIVE = "effects were tried from their best start values only"
 CERTAIN_LEVELS = 30.0  # times the null's level: least gain of an effect with parameters that are hardly credible
 
 
@@ -48,30 +59,31 @@ class SearchOutcome:
     final: FittedModel
     rounds: tuple[SearchRound, ...]
     input_share: InputShare | None = None
-    ended_early: bool = False  # whether the time budget kept it from looking for a further effect
+    cut_short: str = ""  # what the time budget left out, beside the effects that the last round did not try
 
 
 def search(dataset: Dataset, base: FittedModel, options: SearchOptions) -> SearchOutcome:
     """Add effects one after the other as long as one is found that is certain and large enough."""
     fitted, rounds = base, list[SearchRound]()
     while True:
-        share = estimate_input_share(dataset, fitted) if options.test_input_hold else None
-        if share is not None:
-            return SearchOutcome(fitted, tuple(rounds), share)
         context = SearchContext(dataset, fitted, options)
-        found = _find_effect(context, base, rounds)
+        try:
+            share = estimate_input_share(dataset, fitted) if options.test_input_hold else None
+            if share is not None:
+                return SearchOutcome(fitted, tuple(rounds), share)
+            found = _find_effect(context, base, rounds)
+        except OutOfTime:
+            return SearchOutcome(fitted, (*rounds, _unfinished(context, base, rounds)))
         if found.outcome != "added":
-            return SearchOutcome(fitted, (*rounds, found))
-        assert found.best is not None
-        with_effect = replace(context, fitted=add_effect(context, found.best, found.level))
-        fitted, removed = backward_elimination(with_effect, base, found.level)
+            return SearchOutcome(fitted, (*rounds, found), cut_short=NOT_EXHAUSTIVE if found.cut_short else "")
+        fitted, removed = _added(context, base, found)
         removal = f"; removed, as no longer needed: {', '.join(removed)}" if removed else ""
-        found = replace(found, decision=f"'{found.best.name}' added{removal}")
+        found = replace(found, decision=f"{found.decision}{removal}")
         rounds.append(found)
         if len(rounds) >= MOST_EFFECTS or dataset.poor_excitation:
             return SearchOutcome(fitted, tuple(rounds))
         if options.late:
-            return SearchOutcome(fitted, tuple(rounds), ended_early=True)
+            return SearchOutcome(fitted, tuple(rounds), cut_short="no further effect was looked for")
         if not residual_has_structure(replace(context, fitted=fitted), found, _classes(base, rounds)):
             rounds[-1] = replace(found, decision=f"{found.decision}; neither a view nor an effect shows structure in the residual")
             return SearchOutcome(fitted, tuple(rounds))
@@ -82,15 +94,39 @@ def _classes(base: FittedModel, rounds: Sequence[SearchRound]) -> set[str]:
     return {group(name) for name in (*base.servo.effects, *(r.best.name for r in rounds if r.best))}
 
 
+def _names(base: FittedModel, rounds: Sequence[SearchRound]) -> list[str]:
+    """Return the effects of other classes than those."""
+    taken = _classes(base, rounds)
+    return [name for name in all_effects() if group(name) not in taken]
+
+
+def _unfinished(context: SearchContext, base: FittedModel, rounds: Sequence[SearchRound]) -> SearchRound:
+    """Return a round whose effects could not be compared in time."""
+    untried = tuple(Candidate(name, None, reason=OUT_OF_TIME) for name in _names(base, rounds))
+    return SearchRound(untried, Null(np.zeros(1), {}), context.fit.total, decision="the time budget was used up")
+
+
+def _added(context: SearchContext, base: FittedModel, found: SearchRound) -> tuple[FittedModel, list[str]]:
+    """Return the model with the best candidate and without what is no longer needed, and the names of that."""
+    assert found.best is not None
+    try:
+        with_effect = replace(context, fitted=add_effect(context, found.best, found.level))
+        return backward_elimination(with_effect, base, found.level)
+    except OutOfTime:  # as it was compared with the others
+        return with_candidate(context, found.best).fitted, []
+
+
 def _find_effect(context: SearchContext, base: FittedModel, rounds: Sequence[SearchRound]) -> SearchRound:
     """Return the next round; with all start values if a quick one finds nothing and the model still fits poorly."""
-    taken = _classes(base, rounds)
-    names = [name for name in all_effects() if group(name) not in taken]
+    names = _names(base, rounds)
     found = propose_effect(context, names, QUICK)
     poor = found.outcome in ("none", "rejected") and found.candidates and needs_exhaustive_search(context.dataset, context.fitted)
-    if poor and not context.options.late:
-        found = propose_effect(context, names, EXHAUSTIVE)
-    return found
+    if not poor:
+        return found
+    try:
+        return replace(found, cut_short=True) if context.options.late else propose_effect(context, names, EXHAUSTIVE)
+    except OutOfTime:
+        return replace(found, cut_short=True)
 
 
 def propose_effect(context: SearchContext, names: Sequence[str], effort: Effort) -> SearchRound:
@@ -109,6 +145,8 @@ def decide(context: SearchContext, found: SearchRound) -> SearchRound:
         return found.rejected(f"'{name}' {_why_rejected(found.assessment)}")
     if is_wave_harmonic(context.dataset, context.fitted, found.best):
         return found.rejected(f"'{name}' may only correct the shape of an effect that was added")
+    if found.untried:
+        return found.rejected(f"'{name}' is the best of those that were tried in time", keep_ties=True)
     if any(group(other) != group(name) for other in found.ties):
         return replace(found, decision="several effects explain the residual equally well", outcome="tie")
     if found.finer_gain is not None and numerical(found.gain, found.finer_gain, found.level):
@@ -120,7 +158,7 @@ def decide(context: SearchContext, found: SearchRound) -> SearchRound:
         ends = " and ".join(f"{key} at {found.best.fit.values[key]:.3g}" for key in pressed)
         why = f"'{name}' would explain most with {ends}, the end of what it can be: it stands in for something else"
         return replace(found, decision=why, outcome="limit", ties=())
-    return replace(found, outcome="added")
+    return replace(found, decision=f"'{name}' added", outcome="added")
 
 
 def evaluate_candidates(context: SearchContext, names: Sequence[str], effort: Effort = QUICK) -> SearchRound:

@@ -68,7 +68,7 @@ def refit_to_whole_records(case: Case, found: Conclusion, refit: bool = True) ->
         replace(e, parameters={key: parameters.get(f"{e.name}.{key}", old) for key, old in e.parameters.items()})
         for e in found.effects
     )
-    whole = _whole_records(case, records, before, after, found.parameters)
+    whole = replace(_whole_records(case, records, before, after, found.parameters), tried=refit)
     return replace(found, base=before.estimates(case.model, found.base), parameters=parameters, effects=effects), whole
 
 

@@ -165,7 +165,7 @@ def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(a
     assert "with none of the tied effects added" in text_of(page_of(replace(tie, remains=left)))
     named = answer("named")
     after = statement(Facts("named", named.gap, left, named.effects, tie.ties))
-    assert any(line.endswith("from position, and no effect of the catalogue explains it.") for line in after)
+    assert any(line.endswith("from position, and no effect that was tried explains it.") for line in after)
 
 
 def test_a_tone_is_reported_with_its_frequency_and_an_experiment(answer):

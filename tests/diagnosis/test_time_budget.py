@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -12,8 +14,10 @@ from bristle.cli import main as cli
 from bristle.cli.main import _search_options
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, records_from_arrays
+from bristle.diagnosis.estimation.deadline import OutOfTime, check_deadline, until
 from bristle.diagnosis.report.result import Diagnosis
 from bristle.diagnosis.selection.start_values import SearchOptions
+from bristle.diagnosis.workflow import SEARCH_SHARE
 
 
 def found(model: Model, measured: Any, options: SearchOptions, progress: Any = None) -> Diagnosis:
@@ -46,6 +50,50 @@ def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(
     assert line.endswith("parameters were not refitted to whole records; no unnamed torque; no input of a further record")
     assert any("before 25 effects were tried" in each for each in answer.statement)
     assert not answer.effects
+
+
+class Ticks:
+    """A clock that goes on by one second whenever it is read."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        self.now += 1.0
+        return self.now
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.3, 0.6, 1.6])
+def test_what_is_being_tried_ends_with_the_budget(
+    share: float, model: Model, measured: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each simulation of the search reads the clock: a budget in a clock's readings is kept wherever it ends."""
+    clock = Ticks()
+    monkeypatch.setattr(time, "perf_counter", clock)
+    whole = found(model, measured, SearchOptions(jobs=1, budget=1e9))
+    needed, clock.now = clock.now, 0.0
+    assert whole.verdict == "named"
+    assert needed > 500
+    cut = found(model, measured, SearchOptions(jobs=1, budget=share * needed))
+    assert clock.now < 1.2 * share * needed
+    enough = share * SEARCH_SHARE > 0.9  # for the whole search; an effect is the best one only of those that were tried
+    assert [e.name for e in cut.effects] == ([e.name for e in whole.effects] if enough else [])
+    assert cut.verdict in (["named"] if enough else ["not_identifiable", "tie"])
+    assert enough or any("not tried in the last round" in each for each in cut.findings)
+
+
+def test_a_deadline_holds_in_threads_and_ends_with_its_block() -> None:
+    def begins(_: int) -> bool:
+        try:
+            check_deadline()
+        except OutOfTime:
+            return False
+        return True
+
+    with until(0.0), until(math.inf):  # the earlier one of the two
+        assert SearchOptions(jobs=2).map(begins, range(4)) == [False] * 4
+    assert SearchOptions(jobs=2).map(begins, range(4)) == [True] * 4
 
 
 def test_a_budget_is_a_time_above_zero() -> None:
