@@ -23,12 +23,29 @@ from bristle.plant.friction import law as find_law
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 from bristle.records.record import Record
 
-SEGMENT_SECONDS = 0.4  # s: usual length of a segment
-SEGMENT_BINS = 50  # averages per segment
-SHORTEST_SEGMENT = 0.1  # s: shortest segment for a model that diverges
+SEGMENT_SECONDS = 0.4  # s: length of a segment for a servo of the usual time constant
+USUAL_TIME_CONSTANT = 0.5  # s: J/a2 of such a servo
+SEGMENT_FACTOR = 4.0  # lengths of segments are that of the usual servo times a power of it
+LEAST_SEGMENTS = 40  # segments that records give at least where segments are longer than usual
+SEGMENT_BINS = 50  # averages per segment; shorter than usual ones have as many samples at least
+SHORTEST_SHARE = 0.25  # of the length of a segment: shortest segment for a model that diverges
 LONGEST_INTERNAL_STEP = 1e-3  # s: longest internal step of the simulation
 SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth laws
 BRISTLE_DEFLECTION = 0.25  # of the sensor's step: largest deflection of the bristles of rigid friction
+
+
+def segment_seconds(time_constant: float, records: Sequence[Record]) -> float:
+    """Return how long segments are [s]: as many of the servo's time constants J/a2 as usual, to within a factor of 2.
+
+    In a small part of a time constant the motion shows little of what acts on it.
+    """
+    h, whole = records[0].h, sum(len(r) * r.h for r in records)
+    power = round(math.log(time_constant / USUAL_TIME_CONSTANT, SEGMENT_FACTOR))
+    while power < 0 and SEGMENT_SECONDS * SEGMENT_FACTOR**power < SEGMENT_BINS * h:
+        power += 1
+    while power > 0 and SEGMENT_SECONDS * SEGMENT_FACTOR**power * LEAST_SEGMENTS > whole:
+        power -= 1
+    return SEGMENT_SECONDS * SEGMENT_FACTOR**power
 
 
 def dataset_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT_SECONDS) -> Dataset:
@@ -136,21 +153,43 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
 
 
 def prepare_model(model: Model, records: Sequence[Record], dataset: Dataset) -> tuple[Dataset, FittedModel, list[str]]:
-    """Return the records in segments that the model can follow, the model fitted to them, and findings.
+    """Return the records in segments for this servo that the model can follow, the model fitted to them, and findings."""
+    base, lines = fit_from_several_starts(dataset, *base_servo_of(model, dataset)), list[str]()
+    J, a2 = base.fit.values["J"], base.fit.values.get("a2", 0.0)
+    if a2 > 0 and not has_diverged(dataset, base.fit):
+        seconds = segment_seconds(J / a2, records)
+        if seconds != SEGMENT_SECONDS:
+            dataset, base = _cut_again(model, records, seconds)
+            lines += [f"J/a2 is {J / a2:.2g} s: segments of {seconds:.3g} s were compared in the place of {SEGMENT_SECONDS:g} s"]
+    usual = dataset.segments.seconds
+    dataset, base = _until_followed(model, records, dataset, base)
+    seconds = dataset.segments.seconds
+    if seconds < usual:
+        lines += [
+            f"the simulation diverges from these records within {usual:.3g} s: segments of {seconds:.3g} s were compared instead"
+        ]
+    return dataset, base, lines
+
+
+def _cut_again(model: Model, records: Sequence[Record], seconds: float) -> tuple[Dataset, FittedModel]:
+    """Return the records in segments of so many seconds, and the model fitted to them."""
+    dataset = dataset_of(model, records, seconds)
+    return dataset, fit_from_several_starts(dataset, *base_servo_of(model, dataset))
+
+
+def _until_followed(model: Model, records: Sequence[Record], dataset: Dataset, base: FittedModel) -> tuple[Dataset, FittedModel]:
+    """Return the records in shorter segments, and the model fitted to them, as long as it diverges.
 
     The simulation of a light servo in a stiff loop diverges from the measured motion as soon as anything is missing, and its
     residual does not show what. Shorter segments prevent that.
     """
-    usual, asked = dataset.segments.seconds, SEGMENT_SECONDS
-    base = fit_from_several_starts(dataset, *base_servo_of(model, dataset))
-    while has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SEGMENT:
+    usual = asked = dataset.segments.seconds
+    while has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SHARE * usual:
         asked /= 2
-        shorter = dataset_of(model, records, asked)
-        if shorter.segments.seconds < dataset.segments.seconds:
-            dataset, base = shorter, fit_from_several_starts(shorter, *base_servo_of(model, shorter))
-    seconds = dataset.segments.seconds
-    line = f"the simulation diverges from these records within {usual:.3g} s: segments of {seconds:.3g} s were compared instead"
-    return dataset, base, [line] if seconds < usual else []
+        shorter = _cut_again(model, records, asked)
+        if shorter[0].segments.seconds < dataset.segments.seconds:
+            dataset, base = shorter
+    return dataset, base
 
 
 def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:
