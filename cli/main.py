@@ -1,4 +1,4 @@
-"""The command line: list, build, run, reproduce, init, diagnose, validate.
+"""The command line: list, build, run, reproduce, init, diagnose, validate, diff.
 
 Exit code 0: all verdicts pass (diagnose, validate: it completed), 1: one failed, 2: an error, reported in one line.
 """
@@ -515,6 +515,39 @@ def validate(
         print(line)
 
 
+# -- diff ------------------------------------------------------------------------------------------------------------
+
+
+@app.command(
+    short_help="Compare two FMUs: interface, start values, behaviour.",
+    epilog="Behaviour: both run over the default experiment of the first one, with inputs that move within their ranges. "
+    "Exit code 0: what uses A.fmu may use B.fmu and sees no difference; 1: it may not, or sees one; 2: an error.",
+)
+def diff(
+    first: Annotated[Path, typer.Argument(help="the FMU that is used", metavar="A.fmu", parser=_path)],
+    second: Annotated[Path, typer.Argument(help="the one that is to take its place", metavar="B.fmu", parser=_path)],
+    json: Annotated[Path | None, typer.Option(help="file for the differences", metavar="FILE", parser=_path)] = None,
+    debug: DebugOption = False,
+) -> int:
+    """Say what differs between two FMUs, and whether that matters to who uses the first one."""
+    from bristle.common.output import check_not_replaced, replace_files, to_json
+    from bristle.fmus.difference import HARMLESS, fmu_differences
+    from bristle.fmus.host import Fmu
+
+    if json is not None:
+        check_not_replaced(json.parent, [json.name], [first, second])
+    found = fmu_differences(*(Fmu(path, foreign=True) for path in (first, second)))
+    for each in found:
+        print(f"{each.change:<9}  {each.place}: {each.text}")
+    serious = sum(each.change not in HARMLESS for each in found)
+    print(f"{len(found)} differences, {serious} that a user of {first.name} may notice" if found else "no difference")
+    if json is not None:
+        rows = [{"kind": str(each.change), "place": each.place, "text": each.text} for each in found]
+        content = to_json({"first": str(first), "second": str(second), "differences": rows}).encode()
+        replace_files(json.parent, {json.name: content}, [json.name])
+    return FAIL if serious else PASS
+
+
 # -- entry -----------------------------------------------------------------------------------------------------------
 
 
@@ -566,7 +599,9 @@ def _explain(error: BaseException) -> str:
     if isinstance(error, BristleError):
         return f"bristle: {error}"
     if type(error).__name__ == "NoArgsIsHelpError":
-        return "bristle: no command; choose one of list, build, run, reproduce, init, diagnose, validate, or see bristle --help"
+        return (
+            "bristle: no command; choose one of list, build, run, reproduce, init, diagnose, validate, diff, or see bristle --help"
+        )
     if type(error).__name__ == "NoSuchOption":  # click also proposes options that are hardly alike
         name, known = getattr(error, "option_name", ""), getattr(error, "possibilities", None) or []
         error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]  # of click, by its name
