@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.fmus.host import Fmu, Value
 from bristle.harness.loop import Port, Trace
 from bristle.harness.scenario import Check
 
@@ -161,6 +162,22 @@ def true_values(trace: Trace, normal: Array | float = 1.0, load: Array | float =
         scale = normal if short in LOAD_PROPORTIONAL else 1.0
         out[short] = value * scale + (load if short == "load" else 0.0) + np.zeros(len(trace.values))
     return out
+
+
+def element_distances(fmu: Fmu, given: Mapping[str, Value]) -> dict[str, float]:
+    """Return the inverse presliding distances c1, c2, ... of friction elements side by side that an FMU has as parameters.
+
+    A single c1 is a gain.
+    """
+    several = [name for name in fmu.names("parameter") if fmu.has(re.sub(r"\.c\d+$", ".c2", name), "parameter")]
+    found = {name.rpartition(".")[2]: name for name in several if re.search(r"\.c\d+$", name)}
+    return {short: float(given.get(name, fmu.start(name))) for short, name in found.items()}
+
+
+def of_same_elements(true: Mapping[str, Array], plant: Mapping[str, float], observer: Mapping[str, float]) -> dict[str, Array]:
+    """Return the true values without those of elements (sigma0_1, ...) whose distances are others in the observer."""
+    same = plant == observer
+    return {name: values for name, values in true.items() if same or re.fullmatch(r"sigma\d+_\d+", name) is None}
 
 
 def estimated_parameters(record: Sequence[Port], flags: Mapping[Port, float]) -> list[str]:

@@ -234,10 +234,12 @@ class View:
         self.friction = self._friction(setup)
 
     def _true(self, setup: Setup) -> dict[str, Array]:
-        """Return the true parameters under the loads that act on the plant."""
+        """Return the true parameters under the loads that act on the plant, and of the observer's elements."""
         torque, inertia = self.signals.get("tau_load"), self._inertia(setup)
         load = 0.0 if torque is None or inertia is None else torque / inertia
-        return metrics.true_values(self.trace, self.signals.get("load_scale", 1.0), load)
+        found = metrics.true_values(self.trace, self.signals.get("load_scale", 1.0), load)
+        distances = [metrics.element_distances(setup.fmus[unit], setup.values[unit]) for unit in ("plant", "observer")]
+        return metrics.of_same_elements(found, *distances)
 
     @staticmethod
     def _inertia(setup: Setup) -> float | None:

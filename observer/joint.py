@@ -128,7 +128,7 @@ def _published(p: Namespace, s: Sample, f: Filter, fields: Mapping[str, Any]) ->
         "sd": sd,
         "valid": {name: ca.logic_and(sound, sd[name] < limit) for name, limit in limits.items()},
         "adapted": ca.logic_or(p.age > 0, fields["adapted"]),
-        "innovation": p.innovation_sensor,
+        "innovation": ca.if_else(p.age > 0, p.innovation_sensor, 0),
     }
 
 

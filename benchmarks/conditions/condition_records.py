@@ -33,6 +33,7 @@ R = S | {"s0": 800.0, "s1": 1067.0, "s2": 400.0, "c": 200.0}
 DAMPED = S | {"tau": 0.02}
 LUGRE = {"law": 1.0, "alpha2": 2.0, "b": STANDARD_B, "tau": 0.0, "s0": 800.0, "a0": 0.005, "a1": 0.004, "v0": 25 * DEGREE}
 PLANTS: dict[str, dict[str, float]] = {"S": S, "R": R, "damped": DAMPED, "LuGre": LUGRE}
+WIDTHS = ("w1", "m2", "w2")  # of the basis functions, and the place of the second
 SHAPES = {"law": 0.0, "w1": 10 * DEGREE, "m2": 20 * DEGREE, "w2": 20 * DEGREE, "a0": 1.0, "a1": 0.0, "v0": 1.0}
 
 
@@ -158,7 +159,8 @@ def _true(values: Mapping[str, float], scale: float) -> dict[str, float]:
     """Return the normalised parameters; of the modified model's own ones, only where this is the law."""
     friction = values["s0"] / values["c"] if values["law"] == 0 else values["s0"] * values["a0"]
     out = {"alpha2": values["alpha2"], "b": values["b"], "Fc": friction * scale}
-    if values["law"] == 0 and values["w1"] == SHAPES["w1"] and values["w2"] == SHAPES["w2"]:
+    widths = [values[name] / SHAPES[name] for name in WIDTHS]
+    if values["law"] == 0 and np.allclose(widths, widths[0]):
         out |= (
             {f"sigma{i}": values[f"s{i}"] * scale for i in range(3)}
             | {"c": values["c"]}
@@ -251,6 +253,8 @@ def _conditions() -> dict[str, Condition]:
         for factor in factors:
             scaled = ("s0", "s1", "s2") if name == "friction" else ("c", "s0", "s1", "s2") if name == "c" else (name,)
             add("plant", f"{name} x{factor:g}", factors={each: factor for each in scaled})
+    for factor in (0.3, 0.6, 2.0, 4.0):
+        add("plant", f"basis width x{factor:g}", factors=dict.fromkeys(WIDTHS, factor))
     add("plant", "tau 0.02 s", plants=("damped",))
     add("change", "load doubled", load_scale=2.0)
     return {each.name: each for each in found}

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bristle.common.output import plain
+from bristle.fmus import obtain
+from bristle.fmus.host import Fmu
 from bristle.harness import metrics
 from bristle.harness.loop import Trace
 from bristle.harness.metrics import Course
@@ -167,3 +169,13 @@ def test_limits_mean_what_they_say(value: float, limit: float) -> None:
 
 def test_json_has_null_for_what_is_not_a_number() -> None:
     assert plain({"x": [math.nan, np.float64(1.5), np.bool_(True), np.int64(3)]}) == {"x": [None, 1.5, True, 3]}
+
+
+def test_elements_side_by_side_are_compared_only_with_those_of_the_same_distances() -> None:
+    plant, observer = (Fmu(obtain(what)) for what in ("plant", "observer"))
+    own, other = metrics.element_distances(plant, {}), metrics.element_distances(observer, {})
+    assert (own, other) == ({"c1": 50.0, "c2": 150.0, "c3": 450.0}, {"c1": 30.0, "c2": 100.0, "c3": 300.0})
+    true = {"alpha2": np.ones(2), "sigma0_1": np.ones(2)}
+    assert list(metrics.of_same_elements(true, own, other)) == ["alpha2"]
+    same = metrics.element_distances(observer, {f"parallel_elements.{name}": c for name, c in own.items()})
+    assert list(metrics.of_same_elements(true, own, same)) == ["alpha2", "sigma0_1"]
