@@ -84,7 +84,8 @@ def factor_to(unit: str, scale: str | None, si_unit: str) -> float:
         factor, exponents = factor * float(number) * over.factor, exponents + np.array(over.exponents)
     if tuple(exponents) != want.exponents:
         if scale is not None:
-            raise BristleError(f"unit '{unit}' with scale '{scale}' gives none like '{si_unit}', which is needed; correct either")
+            advice = f"write unit '1' with a scale in {si_unit}, or correct either"
+            raise BristleError(f"unit '{unit}' with scale '{scale}' gives none like '{si_unit}', which is needed; {advice}")
         raise BristleError(
             f"unit '{unit}' does not fit, a unit like '{si_unit}' is needed; "
             f'correct it, or add scale = "... {si_unit}" over that unit'

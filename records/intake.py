@@ -362,4 +362,6 @@ def _unusable(piece: Raw, resolution: float | None, needs: Requirements) -> str:
 
 def _gap(raw: Raw, border: int, h: float) -> BristleError:
     gap = f"a gap of {raw.time[border] - raw.time[border - 1]:.3g} s after sample {border - 1} ({raw.time[border - 1]:.6g} s)"
-    return raw.error(f"{gap}, allowed {GAP_INTERVALS:g} sampling intervals of {h:.4g} s; cut the record there")
+    return raw.error(
+        f"{gap}, allowed {GAP_INTERVALS:g} sampling intervals of {h:.4g} s; cut the record there, into files of their own"
+    )
