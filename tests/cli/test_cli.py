@@ -155,7 +155,16 @@ def test_a_folder_is_no_scenario_but_hides_none(tmp_path: Path, inside: Cli, mon
 
 def test_every_command_is_described_in_one_line(inside: Cli) -> None:
     listed = inside("--help").stdout.partition("Commands:")[2].splitlines()
-    assert [line.split()[0] for line in listed if line] == ["list", "build", "run", "reproduce", "init", "diagnose", "validate"]
+    assert [line.split()[0] for line in listed if line] == [
+        "list",
+        "build",
+        "run",
+        "reproduce",
+        "init",
+        "diagnose",
+        "validate",
+        "diff",
+    ]
     assert all(line.endswith(".") and not line.endswith("...") for line in listed if line)
 
 
