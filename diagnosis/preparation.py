@@ -34,13 +34,16 @@ SMOOTH_LAW_TOLERANCE = 1e-5  # relative tolerance of the integrator for smooth l
 BRISTLE_DEFLECTION = 0.25  # of the sensor's step: largest deflection of the bristles of rigid friction
 
 
-def segment_seconds(time_constant: float, records: Sequence[Record]) -> float:
-    """Return how long segments are [s]: as many of the servo's time constants J/a2 as usual, to within a factor of 2.
+def segment_seconds(model: Model, records: Sequence[Record]) -> float:
+    """Return how long segments are [s]: as many of the servo's nominal time constants J/a2 as usual, to within a factor of 2.
 
-    In a small part of a time constant the motion shows little of what acts on it.
+    In a small part of a time constant the motion shows little of what acts on it. The nominal a2 is rough, but one that was fitted
+    would make up for what the model lacks.
     """
-    h, whole = records[0].h, sum(len(r) * r.h for r in records)
-    power = round(math.log(time_constant / USUAL_TIME_CONSTANT, SEGMENT_FACTOR))
+    h, whole, a2 = records[0].h, sum(len(r) * r.h for r in records), model.parameters.get("a2", 0.0)
+    if not a2 > 0:
+        return SEGMENT_SECONDS
+    power = round(math.log(model.parameters["J"] / a2 / USUAL_TIME_CONSTANT, SEGMENT_FACTOR))
     while power < 0 and SEGMENT_SECONDS * SEGMENT_FACTOR**power < SEGMENT_BINS * h:
         power += 1
     while power > 0 and SEGMENT_SECONDS * SEGMENT_FACTOR**power * LEAST_SEGMENTS > whole:
@@ -48,8 +51,9 @@ def segment_seconds(time_constant: float, records: Sequence[Record]) -> float:
     return SEGMENT_SECONDS * SEGMENT_FACTOR**power
 
 
-def dataset_of(model: Model, records: Sequence[Record], seconds: float = SEGMENT_SECONDS) -> Dataset:
-    """Return the records as segments of so many seconds with their smoothed motion."""
+def dataset_of(model: Model, records: Sequence[Record], seconds: float | None = None) -> Dataset:
+    """Return the records as segments of so many seconds, by default of a length for this servo, with their smoothed motion."""
+    seconds = seconds or segment_seconds(model, records)
     h, velocity = records[0].h, model.output_kind == "velocity"
     length = max(8, round(seconds / h))
     width = max(1, length // SEGMENT_BINS)
@@ -153,43 +157,21 @@ def _prior_around(effect: str, given: Mapping[str, float]) -> Iterator[Free]:
 
 
 def prepare_model(model: Model, records: Sequence[Record], dataset: Dataset) -> tuple[Dataset, FittedModel, list[str]]:
-    """Return the records in segments for this servo that the model can follow, the model fitted to them, and findings."""
-    base, lines = fit_from_several_starts(dataset, *base_servo_of(model, dataset)), list[str]()
-    J, a2 = base.fit.values["J"], base.fit.values.get("a2", 0.0)
-    if a2 > 0 and not has_diverged(dataset, base.fit):
-        seconds = segment_seconds(J / a2, records)
-        if seconds != SEGMENT_SECONDS:
-            dataset, base = _cut_again(model, records, seconds)
-            lines += [f"J/a2 is {J / a2:.2g} s: segments of {seconds:.3g} s were compared in the place of {SEGMENT_SECONDS:g} s"]
-    usual = dataset.segments.seconds
-    dataset, base = _until_followed(model, records, dataset, base)
-    seconds = dataset.segments.seconds
-    if seconds < usual:
-        lines += [
-            f"the simulation diverges from these records within {usual:.3g} s: segments of {seconds:.3g} s were compared instead"
-        ]
-    return dataset, base, lines
-
-
-def _cut_again(model: Model, records: Sequence[Record], seconds: float) -> tuple[Dataset, FittedModel]:
-    """Return the records in segments of so many seconds, and the model fitted to them."""
-    dataset = dataset_of(model, records, seconds)
-    return dataset, fit_from_several_starts(dataset, *base_servo_of(model, dataset))
-
-
-def _until_followed(model: Model, records: Sequence[Record], dataset: Dataset, base: FittedModel) -> tuple[Dataset, FittedModel]:
-    """Return the records in shorter segments, and the model fitted to them, as long as it diverges.
+    """Return the records in segments that the model can follow, the model fitted to them, and findings.
 
     The simulation of a light servo in a stiff loop diverges from the measured motion as soon as anything is missing, and its
     residual does not show what. Shorter segments prevent that.
     """
     usual = asked = dataset.segments.seconds
+    base = fit_from_several_starts(dataset, *base_servo_of(model, dataset))
     while has_diverged(dataset, base.fit) and asked / 2 >= SHORTEST_SHARE * usual:
         asked /= 2
-        shorter = _cut_again(model, records, asked)
-        if shorter[0].segments.seconds < dataset.segments.seconds:
-            dataset, base = shorter
-    return dataset, base
+        shorter = dataset_of(model, records, asked)
+        if shorter.segments.seconds < dataset.segments.seconds:
+            dataset, base = shorter, fit_from_several_starts(shorter, *base_servo_of(model, shorter))
+    seconds = dataset.segments.seconds
+    line = f"the simulation diverges from these records within {usual:.3g} s: segments of {seconds:.3g} s were compared instead"
+    return dataset, base, [line] if seconds < usual else []
 
 
 def nominal_gap(dataset: Dataset, servo: Servo, values: Mapping[str, float]) -> float:
