@@ -9,13 +9,13 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from bristle.common.deadline import OutOfTime, check_deadline, until
 from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
 from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
-from bristle.diagnosis.estimation.deadline import OutOfTime, check_deadline, until
 from bristle.diagnosis.experiment.design import design
 from bristle.diagnosis.experiment.sentence import designed_line
 from bristle.diagnosis.filling import unnamed_torque, with_unnamed_torque

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.deadline import check_deadline
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Segments
-from bristle.diagnosis.estimation.deadline import check_deadline
 from bristle.diagnosis.estimation.noise import Noise
 from bristle.diagnosis.estimation.simulator import Free, Simulator
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bristle.common.deadline import OutOfTime, until
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.deadline import OutOfTime, until
 from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
 from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescored
 from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bristle.common.deadline import OutOfTime
 from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
-from bristle.diagnosis.estimation.deadline import OutOfTime
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.optimiser import pressed_bounds
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of

@@ -12,9 +12,9 @@ import pytest
 
 from bristle.cli import main as cli
 from bristle.cli.main import _search_options
+from bristle.common.deadline import OutOfTime, check_deadline, until
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, records_from_arrays
-from bristle.diagnosis.estimation.deadline import OutOfTime, check_deadline, until
 from bristle.diagnosis.report.result import Diagnosis
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.workflow import SEARCH_SHARE

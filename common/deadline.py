@@ -11,7 +11,7 @@ from contextvars import ContextVar
 _DEADLINE: ContextVar[float] = ContextVar("deadline", default=math.inf)
 
 
-class OutOfTime(Exception):
+class OutOfTime(BaseException):
     """A simulation would begin after the deadline."""
 
 
