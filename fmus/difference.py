@@ -130,23 +130,30 @@ def _variables(first: Fmu, second: Fmu) -> Iterator[Difference]:
             change = Change.breaking if old.causality in PUBLIC else Change.note
             yield Difference(change, place, "is gone")
         else:
-            yield from _variable(place, old, new)
+            yield from _variable(first, second, name)
     for name, new in second.variables.items():
         if name not in first.variables:
             yield Difference(Change.addition, f"{new.causality} {name}", "is new")
 
 
-def _variable(place: str, old: Any, new: Any) -> Iterator[Difference]:
-    settable = old.causality in ("input", "parameter", "structuralParameter")
-    for what, get in (("type", _type), ("causality", lambda v: v.causality), ("unit", _unit), ("dimensions", _shape)):
-        if get(old) != get(new):
-            yield Difference(Change.breaking, place, f"{what} {get(old)} became {get(new)}")
+def _variable(first: Fmu, second: Fmu, name: str) -> Iterator[Difference]:
+    """Give what differs in a variable that both have."""
+    old, new = first.variables[name], second.variables[name]
+    place, settable = f"{old.causality} {name}", old.causality in ("input", "parameter", "structuralParameter")
+    for what, before, after in (
+        ("type", _type(old), _type(new)),
+        ("causality", old.causality, new.causality),
+        ("unit", first.unit(name), second.unit(name)),
+        ("dimensions", _shape(old), _shape(new)),
+    ):
+        if before != after:
+            yield Difference(Change.breaking, place, f"{what} {before} became {after}")
     if old.variability != new.variability:
         stricter = (old.variability, new.variability) == ("tunable", "fixed")
         change = Change.breaking if stricter else Change.addition if settable else Change.note
         yield Difference(change, place, f"variability {old.variability} became {new.variability}")
-    yield from _range(place, old, new, settable)
-    yield from _items(place, old, new)
+    yield from _range(place, first.interval(name), second.interval(name), settable)
+    yield from _items(place, first.choices(name), second.choices(name))
     if settable and _number(old.start) != _number(new.start):
         yield Difference(Change.default, place, f"start value {old.start} became {new.start}")
     if old.valueReference != new.valueReference:
@@ -155,10 +162,6 @@ def _variable(place: str, old: Any, new: Any) -> Iterator[Difference]:
 
 def _type(v: Any) -> str:
     return {"Real": "Float64", "Integer": "Int32"}.get(v.type, str(v.type))
-
-
-def _unit(v: Any) -> str:
-    return str(v.unit or (v.declaredType and v.declaredType.unit) or "1")
 
 
 def _shape(v: Any) -> list[str]:
@@ -173,23 +176,15 @@ def _number(text: object) -> object:
         return text
 
 
-def _limits(v: Any) -> tuple[float, float]:
-    texts = [getattr(v, end) or getattr(v.declaredType, end, None) for end in ("min", "max")]
-    low, high = (math.inf if text is None else float(text) for text in texts)
-    return -math.inf if texts[0] is None else low, high
-
-
-def _range(place: str, old: Any, new: Any, settable: bool) -> Iterator[Difference]:
-    before, after = _limits(old), _limits(new)
+def _range(place: str, before: tuple[float, float], after: tuple[float, float], settable: bool) -> Iterator[Difference]:
     if before != after:
         narrower = after[0] > before[0] or after[1] < before[1]
         change = Change.note if not settable else Change.breaking if narrower else Change.addition
         yield Difference(change, place, f"range {before[0]:g} to {before[1]:g} became {after[0]:g} to {after[1]:g}")
 
 
-def _items(place: str, old: Any, new: Any) -> Iterator[Difference]:
+def _items(place: str, before: Mapping[str, int], after: Mapping[str, int]) -> Iterator[Difference]:
     """Give what differs in the items of an enumeration; hosts store their numbers."""
-    before, after = ({str(i.name): int(i.value) for i in getattr(v.declaredType, "items", ())} for v in (old, new))
     for name, value in before.items():
         if after.get(name) != value:
             now = f"became {after[name]}" if name in after else "is gone"
@@ -210,10 +205,11 @@ def _experiment(first: Fmu, second: Fmu) -> Iterator[Difference]:
 
 @dataclass(frozen=True)
 class _Experiment:
-    """A simulation: step size [s], input values (steps, inputs) by name, outputs that are read."""
+    """A simulation: step size [s], number of steps, input values (steps,) by name, outputs that are read."""
 
     fmu: Fmu
     h: float
+    steps: int
     inputs: Mapping[str, Array]
     outputs: tuple[str, ...]
 
@@ -225,7 +221,7 @@ def _behaviour(first: Fmu, second: Fmu) -> Iterator[Difference]:
     moved = {n: wave for n, wave in _waves(first, steps).items() if second.has(n, "input") and second.is_real(n)}
     runs = []
     for fmu in (first, second):
-        task = _Experiment(fmu, h, moved, tuple(common))
+        task = _Experiment(fmu, h, steps, moved, tuple(common))
         try:
             runs.append(isolated(_simulated, task, [fmu.path]))
         except BristleError as error:
@@ -281,9 +277,8 @@ def _simulated(task: _Experiment, control: NDArray[np.int64]) -> Array:
         get: Callable[[Sequence[int]], list[float]] = instance.getFloat64 if three else instance.getReal
         into, out = ([task.fmu.reference(n) for n in names] for names in (task.inputs, task.outputs))
         rows = np.column_stack([*task.inputs.values()]).tolist() if task.inputs else []
-        steps = len(rows) or _steps(task.fmu)[1]
-        shown = np.empty((steps, len(out)))
-        for k in range(steps):
+        shown = np.empty((task.steps, len(out)))
+        for k in range(task.steps):
             if into:
                 put(into, rows[k])
             instance.doStep(start + k * task.h, task.h)
