@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import TypeVar
+
+T = TypeVar("T")
 
 _DEADLINE: ContextVar[float] = ContextVar("deadline", default=math.inf)
 
@@ -23,6 +26,15 @@ def until(deadline: float) -> Iterator[None]:
         yield
     finally:
         _DEADLINE.reset(token)
+
+
+def within(deadline: float, work: Callable[[], T]) -> T | None:
+    """Return what work gives; None if one of its simulations would begin after the deadline."""
+    try:
+        with until(deadline):
+            return work()
+    except OutOfTime:
+        return None
 
 
 def check_deadline() -> None:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from bristle.common.deadline import OutOfTime, check_deadline, until
+from bristle.common.deadline import until, within
 from bristle.common.errors import BristleError
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
@@ -32,7 +32,6 @@ SEARCH_SHARE = 0.6  # of a time budget: after it no further effect is tried, and
 COMPARISON_SHARE = 0.75  # of a time budget: after it effects are no longer compared, nor one refitted that was found
 REFIT_SHARE = 0.8  # of a time budget: after it parameters are not refitted to whole records, and no unnamed torque is fitted
 DESIGN_SHARE = 0.9  # of a time budget: after it no experiment is designed
-END_SHARE = 1.0  # of a time budget: after it none of these is gone on with
 
 T = TypeVar("T")
 
@@ -99,14 +98,9 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
     options = replace(options, deadline=started + SEARCH_SHARE * options.budget)
 
     def in_time(begin: float, result: Callable[[], T]) -> T | None:
-        """Return a result, None where a share of the budget is gone before it is begun, or almost all before it is there."""
-        try:
-            with until(started + begin * options.budget):
-                check_deadline()
-            with until(started + END_SHARE * options.budget):
-                return result()
-        except OutOfTime:
-            return None
+        """Return a result, None where a share of the budget is gone before it is begun, or all of it before it is there."""
+        late = time.perf_counter() > started + begin * options.budget
+        return None if late else within(started + options.budget, result)
 
     with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
         while True:

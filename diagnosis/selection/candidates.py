@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bristle.common.deadline import OutOfTime, until
+from bristle.common.deadline import within
 from bristle.common.errors import BristleError
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.initial_states import REFINEMENT_STEPS, initialise_load, refine_initial_states
@@ -123,11 +123,7 @@ def fit_candidates(context: SearchContext, names: Sequence[str], effort: Effort)
         return in_time(lambda: _screened(context, name, effort), Candidate(name, None))
 
     def in_time(candidate: Callable[[], Candidate], otherwise: Candidate) -> Candidate:
-        try:
-            with until(context.options.deadline):
-                return candidate()
-        except OutOfTime:
-            return replace(otherwise, reason=OUT_OF_TIME)
+        return within(context.options.deadline, candidate) or replace(otherwise, reason=OUT_OF_TIME)
 
     cheap_first = sorted(names, key=lambda name: bool(find_effect(name).coupling))
     by_name = dict(zip(cheap_first, context.options.map(screened, cheap_first), strict=True))
