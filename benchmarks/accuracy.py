@@ -27,7 +27,7 @@ def measured(plant: str) -> list[tuple[float, float]]:
     law, parameters = RECORD_PLANTS[plant]
     names = [*parameters, "solver.tolerance"]
     u = record(plant, 1, 1, RECORD_SECONDS)["u"][:-1, None]
-    drive = Drive(Fmu(obtain("plant", law=law)), ["u"], ["theta"], names)
+    drive = Drive(Fmu(obtain("plant", law=law, encoder=False)), ["u"], ["theta"], names)
 
     def run(tolerance: float) -> tuple[np.ndarray, float]:
         begin = time.process_time()

@@ -45,8 +45,10 @@ def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None, 
     return law if what == "plant" else method
 
 
-def program_of(what: str, variant: str | None = None, effects: Sequence[str] = (), encoder: bool = False) -> Program:
+def program_of(what: str, variant: str | None = None, effects: Sequence[str] = (), encoder: bool = True) -> Program:
     """Return the program behind an FMU; effects and encoder as of `build`."""
+    if what != "plant" and not encoder:
+        raise BristleError(f"the {what} has no encoder; only the plant can be built without it")
     definition = importlib.import_module(f"bristle.fmus.{what}.definition")
     chosen = [] if variant is None else [variant]
     program: Program = definition.program(variant, effects, encoder) if what == "plant" else definition.program(*chosen)
@@ -73,7 +75,7 @@ def build(
     law: str | None = None,
     method: str | None = None,
     effects: Sequence[str] = (),
-    encoder: bool = False,
+    encoder: bool = True,
     parameters: Mapping[str, float] | None = None,
     units: Callable[[str, str], str] | None = None,
 ) -> Path:
@@ -94,7 +96,7 @@ def build(
     effects : sequence of str
         Effects added to the plant: of one law, or of all laws that they can join.
     encoder : bool
-        Encoder outputs also in the plant of one smooth law, which then offers no Model Exchange. All other plants have them.
+        Whether the plant has its encoder outputs. Without them, the plant of one smooth law also offers Model Exchange.
     parameters : mapping of str to float, optional
         Start values of parameters in SI units, in place of their defaults.
     units : function, optional
@@ -139,7 +141,7 @@ def obtain(
     law: str | None = None,
     method: str | None = None,
     effects: Sequence[str] = (),
-    encoder: bool = False,
+    encoder: bool = True,
     parameters: Mapping[str, float] | None = None,
 ) -> Path:
     """Return an FMU as a file of the cache, built only if it is not there.

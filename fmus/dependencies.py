@@ -49,7 +49,7 @@ def structural(interface: Interface) -> dict[str, list[Exposed]]:
 
 def initial(interface: Interface) -> dict[str, list[Exposed]]:
     """Return the parameters and inputs that each unknown depends on in initialisation mode."""
-    always = {interface.program.selector} if interface.program.selector else set()
+    always = {slot.name for slot in interface.program.slots if slot.kind in ("selector", "index")}
     result = {x.name: set(always) for x in interface.of("calculatedParameter", "output", "local")}
     for variant in interface.program.variants:
         origins = _origins(variant.system)

@@ -56,12 +56,12 @@ def _description(exposed: Exposed) -> str:
 
 def _start(exposed: Exposed) -> float | int | bool | None:
     """Return the start value where the standards require one: of what can be set."""
-    kind = {"Enumeration": int, "Boolean": bool}.get(exposed.type, float)
+    kind = {"Enumeration": int, "Integer": int, "Boolean": bool}.get(exposed.type, float)
     return kind(exposed.slot.start) if exposed.settable else None
 
 
 def _limit(value: float | None, exposed: Exposed) -> float | int | None:
-    return None if value is None else int(value) if exposed.type == "Enumeration" else float(value)
+    return None if value is None else int(value) if exposed.type in ("Enumeration", "Integer") else float(value)
 
 
 def _value_attributes(interface: Interface, exposed: Exposed) -> dict[str, object]:
@@ -178,7 +178,7 @@ def description_2(interface: Interface, sources: Sequence[str]) -> bytes:
 
 # -- FMI 3.0 -------------------------------------------------------------------------------------------------------------
 
-TYPES_3 = {"Real": "Float64", "Boolean": "Boolean", "Enumeration": "Enumeration"}
+TYPES_3 = {"Real": "Float64", "Boolean": "Boolean", "Enumeration": "Enumeration", "Integer": "Int32"}
 
 
 def _interfaces_3(root: ET.Element, interface: Interface) -> None:

@@ -40,7 +40,9 @@ def documentation(interface: Interface) -> str:
     parts = [f"<h1>{escape(program.name)}</h1>\n<p>{escape(program.description)}</p>"]
     if program.selector:
         items = "".join(f"<li>{v.system.name}: {escape(v.system.description)}</li>" for v in program.variants)
-        parts.append(f"<p>The parameter <code>{program.selector}</code> chooses:</p>\n<ol>{items}</ol>")
+        name = program.selector
+        chooses = f"The parameter <code>{name}</code>, or its number <code>{name}_index</code> (0: as <code>{name}</code> says), chooses"
+        parts.append(f"<p>{chooses}; <code>{name}_running</code> is the number of what runs:</p>\n<ol>{items}</ol>")
     for title, causalities in PAGE_SECTIONS.items():
         if variables := interface.of(*causalities):
             parts.append(f"<h2>{title}</h2>\n" + _table([_row(x) for x in variables]))

@@ -15,8 +15,9 @@ from bristle.model.variables import Parameter, State
 SX = ca.SX
 
 CAUSALITY = {
-    "time": "independent", "selector": "parameter", "parameter": "parameter", "calculated": "calculatedParameter",
-    "input": "input", "output": "output", "state": "local", "der": "local",
+    "time": "independent", "selector": "parameter", "index": "parameter", "parameter": "parameter",
+    "calculated": "calculatedParameter", "input": "input", "output": "output", "running": "output",
+    "state": "local", "der": "local",
 }  # fmt: skip
 INITIAL = {"parameter": "exact", "calculatedParameter": "calculated", "output": "calculated", "local": "calculated"}
 
@@ -26,7 +27,7 @@ class Exposed:
     """A variable of the FMU; value reference and start are those of its slot."""
 
     slot: Slot
-    type: str  # Real, Enumeration or Boolean
+    type: str  # Real, Enumeration, Integer or Boolean
     causality: str
     variability: str
     minimum: float | None = None
@@ -44,6 +45,14 @@ class Exposed:
     @property
     def initial(self) -> str | None:
         return INITIAL.get(self.causality)
+
+    @property
+    def checked(self) -> tuple[float | None, float | None]:
+        """The limits that a call which sets it obeys; those of the index are checked at initialisation.
+
+        A host that ignores the status of the call then cannot run the default instead.
+        """
+        return (None, None) if self.slot.kind == "index" else (self.minimum, self.maximum)
 
     @property
     def settable(self) -> bool:
@@ -75,6 +84,10 @@ class Interface:
             return Exposed(slot, "Real", causality, "fixed", variable.minimum, variable.maximum)
         if slot.kind == "selector":
             return Exposed(slot, "Enumeration", causality, "fixed", 1, len(self.program.variants))
+        if slot.kind == "index":
+            return Exposed(slot, "Integer", causality, "fixed", 0, len(self.program.variants))
+        if slot.kind == "running":
+            return Exposed(slot, "Integer", causality, "discrete", 1, len(self.program.variants))
         if slot.kind == "calculated":
             return Exposed(slot, "Boolean" if variable.boolean else "Real", causality, "fixed")
         if variable.boolean:
@@ -157,6 +170,8 @@ def _access(exposed: Exposed | None) -> str:
         bits.append("SET_EARLY")
     if exposed.causality == "input":
         bits.append("SET_LATE")
+    if exposed.slot.kind == "state":
+        bits.append("SET_STATE")
     return " | ".join(bits)
 
 
@@ -183,7 +198,8 @@ def c_tables(interface: Interface, fmi: int) -> dict[str, str]:
 #define SMOOTH {int(interface.exchange)} /* Model Exchange and derivatives are offered */
 #define N_KNOWN {known} /* columns of the Jacobian */
 
-enum {{ REAL = 1, ENUMERATION = 2, BOOLEAN = 4, SET_EARLY = 8, SET_LATE = 16 }}; /* SET_LATE: also after initialization */
+enum {{ REAL = 1, ENUMERATION = 2, BOOLEAN = 4, INTEGER = 8 }};
+enum {{ SET_EARLY = 16, SET_LATE = 32, SET_STATE = 64 }}; /* before the end of initialization, after it, in Model Exchange */
 
 extern const unsigned char ACCESS[N_V];
 extern const double LOW[N_V], HIGH[N_V], NOMINAL[N_V];
@@ -200,8 +216,8 @@ extern const int MOVING[N_VARIANTS][2];   /* first and number of the places in v
         "#include <float.h>",
         "",
         _table("unsigned char ACCESS[N_V]", [_access(x) for x in each]),
-        _table("double LOW[N_V]", [_number(x.minimum if x else None, "-DBL_MAX") for x in each]),
-        _table("double HIGH[N_V]", [_number(x.maximum if x else None, "DBL_MAX") for x in each]),
+        _table("double LOW[N_V]", [_number(x.checked[0] if x else None, "-DBL_MAX") for x in each]),
+        _table("double HIGH[N_V]", [_number(x.checked[1] if x else None, "DBL_MAX") for x in each]),
         _table("double NOMINAL[N_V]", [_number(x.nominal if x else None, "1.0") for x in each]),
         _table("char *const NAME[N_V]", _quoted([x.name if x else "" for x in each])),
         _table("char *const UNIT[N_V]", _quoted([x.slot.variable.unit if x else "" for x in each])),

@@ -16,8 +16,9 @@ from bristle.model.python import python_source
 
 
 def _row(x: Exposed) -> str:
-    low = "-math.inf" if x.minimum is None else repr(float(x.minimum))
-    high = "math.inf" if x.maximum is None else repr(float(x.maximum))
+    minimum, maximum = x.checked
+    low = "-math.inf" if minimum is None else repr(float(minimum))
+    high = "math.inf" if maximum is None else repr(float(maximum))
     return f"    {x.reference}: ({x.name!r}, {x.type!r}, {x.causality!r}, {low}, {high}),"
 
 

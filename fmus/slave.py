@@ -43,7 +43,7 @@ def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     """One instance; a subclass names the FMU and gives the generated tables."""
 
-    tables: Any = None  # START, SELECTOR, VARIANTS, TOKEN, VARIABLES
+    tables: Any = None  # START, CHOICE, VARIANTS, TOKEN, VARIABLES
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
@@ -87,18 +87,31 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     def _refresh(self) -> None:
         """Compute what waits for being asked for."""
         if self.stale and self.mode == "initialization":
+            self._check_choice()
             self.core.initialise(self.core.v[0])
         elif self.stale:
             self.core.outputs()
         self.stale = False
 
+    def _check_choice(self) -> None:
+        """Refuse an index outside its interval, or one that contradicts the enumeration."""
+        selector, place, _ = self.tables.CHOICE
+        if selector < 0:
+            return
+        chosen, index, most = int(self.core.v[selector]), int(self.core.v[place]), len(self.tables.VARIANTS)
+        name, enumeration = self._variable(place)[0], self._variable(selector)[0]
+        if not 0 <= index <= most:
+            raise RefusedError(f"{name} = {index} is outside [0, {most}]; 0: as {enumeration} says")
+        if index and chosen not in (self.tables.START[selector], index):
+            raise RefusedError(f"{name} = {index} contradicts {enumeration} = {chosen}; set one of the two")
+
     # -- variables -----------------------------------------------------------------------------------------------------
 
-    def _get(self, references: Sequence[int], kind: str) -> list[float]:
+    def _get(self, references: Sequence[int], *kinds: str) -> list[float]:
         self._require("initialization", "step", "terminated", "failed")
         self._refresh()
         for reference in references:
-            if self._variable(reference)[1] != kind:
+            if self._variable(reference)[1] not in kinds:
                 raise RefusedError(f"{self._variable(reference)[0]} is of another type")
         return [self.core.v[reference] for reference in references]
 
@@ -108,9 +121,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         found: tuple[str, str, str, float, float] = self.tables.VARIABLES[reference]
         return found
 
-    def _check(self, reference: int, value: float, kind: str) -> None:
+    def _check(self, reference: int, value: float, kinds: Sequence[str]) -> None:
         name, own_kind, causality, low, high = self._variable(reference)
-        if own_kind != kind:
+        if own_kind not in kinds:
             raise RefusedError(f"{name} is of another type")
         if causality not in ("parameter", "input"):
             raise RefusedError(f"{name} is computed and cannot be set")
@@ -119,10 +132,10 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         if not (math.isfinite(value) and low <= value <= high):
             raise RefusedError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")
 
-    def _set(self, references: Sequence[int], values: Sequence[float], kind: str) -> None:
+    def _set(self, references: Sequence[int], values: Sequence[float], *kinds: str) -> None:
         self._require("instantiated", "initialization", "step")
         for reference, value in zip(references, values, strict=True):
-            self._check(reference, value, kind)
+            self._check(reference, value, kinds)
         for reference, value in zip(references, values, strict=True):
             self.core.v[reference] = float(value)
         self.stale = True
@@ -133,7 +146,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
 
     @_guarded
     def get_integer(self, vrs: Sequence[int]) -> list[int]:
-        return [int(value) for value in self._get(vrs, "Enumeration")]
+        return [int(value) for value in self._get(vrs, "Enumeration", "Integer")]
 
     @_guarded
     def get_boolean(self, vrs: Sequence[int]) -> list[bool]:
@@ -150,7 +163,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
 
     @_guarded
     def set_integer(self, vrs: Sequence[int], values: Sequence[int]) -> None:
-        self._set(vrs, values, "Enumeration")
+        self._set(vrs, values, "Enumeration", "Integer")
 
     @_guarded
     def set_boolean(self, vrs: Sequence[int], values: Sequence[bool]) -> None:
@@ -159,7 +172,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     @_guarded
     def set_string(self, vrs: Sequence[int], values: Sequence[str]) -> None:
         for reference in vrs:
-            self._check(reference, math.nan, "String")
+            self._check(reference, math.nan, ("String",))
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 

@@ -74,11 +74,12 @@ def catalogue() -> dict[str, dict[str, str]]:
 
 @dataclass(frozen=True)
 class Choice:
-    """What an FMU holds: one law or method, or all; effects of the plant."""
+    """What an FMU holds: one law or method, or all; effects of the plant, and whether it has its encoder."""
 
     law: str | None = None
     method: str | None = None
     effects: Sequence[str] = ()
+    encoder: bool = True
 
 
 def build_file(what: str, out: Path, *, fmi: int, kind: str, choice: Choice) -> Path:

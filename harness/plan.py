@@ -102,7 +102,7 @@ def _with_effects(loaded: Loaded, plant: Plant, fmi: int, kind: Kind) -> Fmu:
     from bristle.fmus import obtain
 
     try:
-        return Fmu(obtain("plant", fmi=fmi, kind=kind, law=plant.law, effects=plant.effects, encoder=True))
+        return Fmu(obtain("plant", fmi=fmi, kind=kind, law=plant.law, effects=plant.effects))
     except BristleError as error:
         raise loaded.error("plant", None, str(error)) from None
 
@@ -185,8 +185,14 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[s
             raise loaded.error(f"{name}.{selector}", choice, message)
         values[selector] = choices[choice]
     others = set(fmu.choices(selector)) - {choice} if choice is not None else set()
-    own = [parameter for parameter in fmu.names("parameter") if parameter != selector and parameter.partition(".")[0] not in others]
+    own = [
+        parameter
+        for parameter in fmu.names("parameter")
+        if parameter not in (selector, f"{selector}_index") and parameter.partition(".")[0] not in others
+    ]
     for key, given in part.parameters.items():
+        if choice is not None and key == f"{selector}_index":
+            raise loaded.error(f"{name}.parameters.{key}", given, f"the scenario chooses by {name}.{selector}; remove it")
         try:
             values[key] = fmu.parameter(key, given, own, rig.written)
         except BristleError as error:

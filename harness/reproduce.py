@@ -323,7 +323,7 @@ def friction_curve(law: str, parameters: Mapping[str, float]) -> tuple[Array, Ar
     h = 1e-3
     values = {"J": 1.0, "b": 1.0, "a2": 0.0, "u_max": 1e6, **parameters}
     push = np.full(round(PUSH / h), PUSH_RATE)
-    drive = Drive(Fmu(obtain("plant", law=law)), ["u"], ["v", "F"], list(values))
+    drive = Drive(Fmu(obtain("plant", law=law, encoder=False)), ["u"], ["v", "F"], list(values))
     try:
         [pushed] = drive.run(push[:, None], np.array([[*values.values()]]), h)
         count = int(np.argmax(pushed[:, 0] > CURVE_SPEED))

@@ -120,7 +120,7 @@ def lean_fmus() -> dict[str, Fmu]:
     """Return the lean plant FMUs, native ones, whatever kind the scenario runs."""
     from bristle.fmus import obtain
 
-    return {law: Fmu(obtain("plant", law=law)) for law in MODEL_PARAMETERS}
+    return {law: Fmu(obtain("plant", law=law, encoder=False)) for law in MODEL_PARAMETERS}
 
 
 def validate(identification: Data, second: Data, identified: Identified, fmus: Mapping[str, Fmu], baselines: bool) -> Validation:

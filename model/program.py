@@ -1,7 +1,8 @@
 """`Program`: one table of variables `v[]` for one or several systems, and the functions that work on it.
 
 The index of a variable in `v[]` is its value reference in an FMU. Several variants (friction laws, observer methods)
-share the table; each has its own functions, and a selector parameter chooses the variant at initialisation.
+share the table; each has its own functions, and a selector parameter chooses the variant at initialisation. For hosts that
+cannot set an enumeration there is an integer beside it (0: as the selector says), and an output tells which variant runs.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ ALWAYS = ("derive", "start", "outputs")  # functions that are present even where
 
 @dataclass(frozen=True)
 class Slot:
-    """One place of `v[]`: kind is time, selector, parameter, calculated, hidden, input, output, state, der, sampled or mode."""
+    """One place of `v[]`.
+
+    Its kind is time, selector, index, running, parameter, calculated, hidden, input, output, state, der, sampled or mode.
+    """
 
     index: int
     name: str
@@ -97,6 +101,10 @@ def _own(system: System, name: str) -> str:
     return f"{system.name}.{name}"
 
 
+def _numbered(systems: Sequence[System]) -> str:
+    return ", ".join(f"{number} {system.name}" for number, system in enumerate(systems, start=1))
+
+
 class Program:
     """A named set of systems over one variable table.
 
@@ -152,6 +160,7 @@ class Program:
         self._add("time", "time", Variable("time", "s", "simulation time"))
         if self.selector:
             self._add(self.selector, "selector", Variable(self.selector, "1", "variant"), self.chosen + 1.0)
+            self._add(f"{self.selector}_index", "index", Variable(f"{self.selector}_index", "1", self._index_text(systems)))
         for system in systems:
             for parameter in system.parameters.values():
                 self._add(parameter.name, "parameter", parameter, parameter.default)
@@ -164,6 +173,9 @@ class Program:
         for system in systems:
             for variable, _ in system.outputs.values():
                 self._add(variable.name, "output", variable)
+        if self.selector:
+            running = Variable(f"{self.selector}_running", "1", f"number of the {self.selector} that runs: {_numbered(systems)}")
+            self._add(running.name, "running", running, self.chosen + 1.0)
         for system in systems:
             for name in (name for block in system.constants for name in block):
                 self._add(_own(system, name), "hidden", Variable(name, "1", "constant"))
@@ -175,6 +187,15 @@ class Program:
             for kind, group in (("sampled", {**system.before, **system.after}), ("mode", system.modes)):
                 for state in group.values():
                     self._add(_own(system, state.name), kind, state)
+
+    def _index_text(self, systems: Sequence[System]) -> str:
+        return f"number of the {self.selector}, for hosts that set no enumeration; 0: as {self.selector} says; {_numbered(systems)}"
+
+    @property
+    def choice(self) -> tuple[int, int, int]:
+        """The places of the selector, its integer twin and the output that tells which variant runs; -1 for a single variant."""
+        places = [slot.index for slot in self.slots if slot.kind in ("selector", "index", "running")]
+        return (places[0], places[1], places[2]) if places else (-1, -1, -1)
 
     def place(self, system: System, name: str) -> int:
         """Return the place in `v[]` of a symbol of a system."""

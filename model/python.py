@@ -33,7 +33,7 @@ def for_arrays(function: ca.Function) -> Callable[[Sequence[Array | float]], lis
 
 
 def python_source(program: Program) -> str:
-    """Return a module text with START, SELECTOR and VARIANTS, which imports nothing but math."""
+    """Return a module text with START, CHOICE and VARIANTS, which imports nothing but math."""
     text = [f'"""{program.name}: the equations (generated)."""', "", "import math", "", ""]
     entries = []
     for variant in program.variants:
@@ -44,7 +44,7 @@ def python_source(program: Program) -> str:
         pairs += [f'"{n}": {list(getattr(variant, n))}' for n in ("states", "ders", "finite")]
         pairs += [f'"{n}": {getattr(variant, n)}' for n in ("sample_time", "max_step", "max_steps", "friction_step")]
         entries.append("    {" + ", ".join(pairs) + "},")
-    text += [f"START = {program.starts!r}", f"SELECTOR = {program.index[program.selector] if program.selector else -1}"]
+    text += [f"START = {program.starts!r}", f"CHOICE = {program.choice}"]
     return "\n".join([*text, "VARIANTS = [", *entries, "]", ""])
 
 
@@ -52,7 +52,7 @@ def python_tables(program: Program) -> SimpleNamespace:
     """Return the generated Python module as a namespace for `runtime.Core`."""
     namespace: dict[str, Any] = {}
     exec(compile(python_source(program), f"<{program.name}>", "exec"), namespace)
-    return SimpleNamespace(**{k: namespace[k] for k in ("START", "SELECTOR", "VARIANTS")})
+    return SimpleNamespace(**{k: namespace[k] for k in ("START", "CHOICE", "VARIANTS")})
 
 
 def _evaluator(kernel: Kernel) -> Callable[[list[float], float, list[float] | None], None]:
@@ -77,5 +77,4 @@ def casadi_tables(program: Program) -> SimpleNamespace:
         entry |= {n: list(getattr(variant, n)) for n in ("states", "ders", "finite")}
         entry |= {n: getattr(variant, n) for n in ("sample_time", "max_step", "max_steps", "friction_step")}
         variants.append(entry)
-    selector = program.index[program.selector] if program.selector else -1
-    return SimpleNamespace(START=program.starts, SELECTOR=selector, VARIANTS=variants)
+    return SimpleNamespace(START=program.starts, CHOICE=program.choice, VARIANTS=variants)

@@ -85,6 +85,7 @@ def c_sources(program: Program) -> dict[str, str]:
     """Return file name -> text of all C sources that the program needs to run without this library."""
     most = max(len(a.states) for a in program.variants)
     jacobian = max(a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0 for a in program.variants)
+    selector, index, running = program.choice
     header = f"""/* {program.name}: {program.description} (generated) */
 #ifndef BRISTLE_MODEL_H
 #define BRISTLE_MODEL_H
@@ -94,7 +95,10 @@ def c_sources(program: Program) -> dict[str, str]:
 #define N_JACOBIAN {jacobian}
 #define N_SENSITIVITIES {len(program.sensitivities)}
 #define N_OBSERVED {int(bool(program.sensitivities and program.observed))}
-#define SELECTOR ({program.index[program.selector] if program.selector else -1})
+#define CHOICE {int(selector >= 0)} /* several variants: the places that choose one and tell which runs */
+#define SELECTOR {max(selector, 0)}
+#define INDEX {max(index, 0)}
+#define RUNNING {max(running, 0)}
 #endif
 """
     body = [f"/* {program.name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]

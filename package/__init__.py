@@ -162,6 +162,7 @@ def build(
     law: str | None = None,
     method: str | None = None,
     effects: Sequence[str] = (),
+    encoder: bool = True,
 ) -> Path:
     """Build an FMU.
 
@@ -182,6 +183,8 @@ def build(
     effects : sequence of str, optional
         Effects of the plant, such as ``["cogging", "bias"]``; their parameters are called ``cogging.amplitude``. Without a law, the
         plant has all laws that the effects can join.
+    encoder : bool, optional
+        False leaves the encoder outputs of the plant out; that of one smooth law then also offers Model Exchange.
 
     Returns
     -------
@@ -199,7 +202,7 @@ def build(
     return build_file(
         as_choice("part", part, PARTS), as_path("out", out),
         fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS),
-        choice=Choice(law, method, as_names("effects", effects)),
+        choice=Choice(law, method, as_names("effects", effects), encoder),
     )  # fmt: skip
 
 

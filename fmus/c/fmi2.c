@@ -90,15 +90,15 @@ static fmi2Status set_ints(fmi2Component c, const char *who, const unsigned vr[]
     return fmi2OK;
 }
 
-/* An enumeration is read and set as an integer. */
+/* An enumeration is read and set as an integer, too. */
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[])
 {
-    return get_ints(c, __func__, vr, n, value, ENUMERATION);
+    return get_ints(c, __func__, vr, n, value, ENUMERATION | INTEGER);
 }
 
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[])
 {
-    return set_ints(c, __func__, vr, n, value, ENUMERATION);
+    return set_ints(c, __func__, vr, n, value, ENUMERATION | INTEGER);
 }
 
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[])

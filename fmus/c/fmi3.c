@@ -118,6 +118,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
     }
 
 ACCESSORS(Int64, fmi3Int64, ENUMERATION)
+ACCESSORS(Int32, fmi3Int32, INTEGER)
 ACCESSORS(Boolean, fmi3Boolean, BOOLEAN)
 
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t n_unknowns,
@@ -240,7 +241,6 @@ NO_SUCH_TYPE(Int8, fmi3Int8)
 NO_SUCH_TYPE(UInt8, fmi3UInt8)
 NO_SUCH_TYPE(Int16, fmi3Int16)
 NO_SUCH_TYPE(UInt16, fmi3UInt16)
-NO_SUCH_TYPE(Int32, fmi3Int32)
 NO_SUCH_TYPE(UInt32, fmi3UInt32)
 NO_SUCH_TYPE(UInt64, fmi3UInt64)
 NO_SUCH_TYPE(String, fmi3String)

@@ -77,7 +77,9 @@ int set_logging(Instance *s, const char *who, int on, size_t n, const char *cons
 static void enter(Instance *s, int mode)
 {
     s->now.mode = mode;
-    s->settable = mode & (INSTANTIATED | INITIALISATION) ? SET_EARLY : mode & (EVENT | CONTINUOUS | STEP) ? SET_LATE : 0;
+    s->settable = mode & (INSTANTIATED | INITIALISATION) ? SET_EARLY
+                : mode & (EVENT | CONTINUOUS) ? SET_LATE | SET_STATE
+                : mode & STEP ? SET_LATE : 0;
 }
 
 int instance_reset(Instance *s)
@@ -138,10 +140,26 @@ static int refuse_infinite(const Instance *s, const char *who)
     return OK;
 }
 
+/* Index and enumeration choose the same; one at its start value leaves the choice to the other. */
+static int check_choice(const Instance *s, const char *who)
+{
+#if CHOICE
+    const double chosen = s->now.core.v[SELECTOR], index = s->now.core.v[INDEX];
+    if (!(index >= 0.0 && index <= N_VARIANTS))
+        return refuse(s, who, "%s = %g is outside [0, %d]; 0: as %s says", NAME[INDEX], index, N_VARIANTS, NAME[SELECTOR]);
+    if (index != 0.0 && chosen != START[SELECTOR] && chosen != index)
+        return refuse(s, who, "%s = %g contradicts %s = %g; set one of the two", NAME[INDEX], index, NAME[SELECTOR], chosen);
+#else
+    (void)s; (void)who;
+#endif
+    return OK;
+}
+
 static int refresh(Instance *s, const char *who)
 {
     if (!s->now.stale) return OK;
     if (s->now.stale & SET_EARLY) {
+        if (check_choice(s, who)) return ERROR;
         const int code = core_initialise(&s->now.core, s->now.core.v[0]);
         if (code != CORE_OK) return refuse(s, who, "%s", core_message(code));
     } else {
@@ -232,8 +250,7 @@ static inline int readable(unsigned vr, unsigned type) { return vr < N_V && (ACC
 
 static inline int writable(const Instance *s, unsigned vr, unsigned type)
 {
-    const unsigned needed = type | s->settable;
-    return vr < N_V && (ACCESS[vr] & needed) == needed;
+    return vr < N_V && (ACCESS[vr] & type) && (ACCESS[vr] & s->settable);
 }
 
 /* False for NaN too; a variable without limits has the largest finite numbers for limits. */

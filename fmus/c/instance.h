@@ -28,7 +28,7 @@ typedef struct {
 typedef struct Instance Instance;
 struct Instance {
     Situation now;
-    unsigned settable; /* SET_EARLY, SET_LATE or 0: what may be set in this mode */
+    unsigned settable; /* SET_EARLY, SET_LATE (with SET_STATE in Model Exchange) or 0: what may be set in this mode */
     int logging;
     void (*log)(const Instance *s, const char *message);
     void (*logger)(void); /* the host's function, called by `log` */

@@ -15,13 +15,16 @@ void core_defaults(Core *c)
 
 static const Variant *variant_of(const Core *c) { return &VARIANTS[c->variant]; }
 
+/* The index decides unless it is 0; that the two do not contradict each other is for the host's side to check. */
 int core_derive(Core *c)
 {
-    c->variant = SELECTOR >= 0 ? (int)c->v[SELECTOR >= 0 ? SELECTOR : 0] - 1 : 0;
-    if (c->variant < 0 || c->variant >= N_VARIANTS) {
+    const double number = !CHOICE ? 1.0 : c->v[INDEX] != 0.0 ? c->v[INDEX] : c->v[SELECTOR];
+    if (!(number >= 1.0 && number <= N_VARIANTS)) {
         c->variant = 0;
         return CORE_VARIANT;
     }
+    c->variant = (int)number - 1;
+    if (CHOICE) c->v[RUNNING] = c->variant + 1;
     variant_of(c)->derive(c->v, 0.0, 0);
     return CORE_OK;
 }

@@ -3,7 +3,7 @@
 #ifndef BRISTLE_CORE_H
 #define BRISTLE_CORE_H
 
-#include "model.h" /* generated: N_V, N_X, N_VARIANTS, N_JACOBIAN, N_SENSITIVITIES, SELECTOR */
+#include "model.h" /* generated: N_V, N_X, N_VARIANTS, N_JACOBIAN, N_SENSITIVITIES, CHOICE, ... */
 
 typedef void (*Kernel)(double *v, double h, double *out);
 

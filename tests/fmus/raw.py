@@ -102,6 +102,8 @@ class Raw:
             return ("Real" if self.fmi == 2 else "Float64"), c_double
         if kind == "Boolean":
             return "Boolean", (c_int if self.fmi == 2 else ctypes.c_bool)
+        if kind == "Int32":
+            return ("Integer" if self.fmi == 2 else "Int32"), c_int
         return ("Integer" if self.fmi == 2 else "Int64"), (c_int if self.fmi == 2 else ctypes.c_int64)
 
     def _access(self, verb: str, handle: int, kind: str, references: Any, values: Any, n: int) -> int:

@@ -49,7 +49,7 @@ def update(raw, handle):
 def lean(request, built, Raw):
     """A library, the program behind it, and the numbers of states, inputs and outputs."""
     law, fmi = request.param
-    return Raw(built("plant", law=law, fmi=fmi).info), Interface(program_of("plant", law))
+    return Raw(built("plant", law=law, fmi=fmi, encoder=False).info), Interface(program_of("plant", law, encoder=False))
 
 
 def point(interface):
@@ -205,7 +205,7 @@ def test_values_follow_what_is_set(lean):
 @pytest.mark.parametrize("law", SMOOTH)
 def test_model_exchange_is_close_to_co_simulation(built, law, fmi):
     """FMPy's CVode on our derivatives, against our own integrator, over a second with a reversal."""
-    path = str(built("plant", law=law, fmi=fmi).path)
+    path = str(built("plant", law=law, fmi=fmi, encoder=False).path)
     signals = np.array(
         [(0.0, 5.0, 0.0, 1.0), (0.5, 5.0, 0.0, 1.0), (0.5, -5.0, 0.0, 1.0), (2.0, -5.0, 0.0, 1.0)],
         dtype=[("time", float), ("u", float), ("tau_load", float), ("load_scale", float)],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-KINDS = {"Boolean": "Boolean", "Enumeration": "Integer"}  # all others are real
+KINDS = {"Boolean": "Boolean", "Enumeration": "Integer", "Integer": "Int32", "Int32": "Int32"}  # all others are real
 STEPS, H = 400, 1e-3
 CASES = [
     ("plant", {}), ("plant", {"law": "lugre"}), ("plant", {"law": "coulomb", "effects": ("compliance", "measurement_delay")}),
