@@ -12,7 +12,7 @@
         ├── CoreError              bristle.model.runtime
         └── RefusedError           bristle.fmus.slave
     BaseException
-    ├── Interrupted                bristle.cli.main: Ctrl-C or SIGTERM
+    ├── Interrupted                bristle.cli.terminal: Ctrl-C or SIGTERM
     └── OutOfTime                  bristle.common.deadline: work under a time budget is left where it is
 
 `except BristleError` catches whatever the library reports. CoreError and RefusedError are raised inside an FMU, where the

@@ -41,7 +41,9 @@ def documentation(interface: Interface) -> str:
     if program.selector:
         items = "".join(f"<li>{v.system.name}: {escape(v.system.description)}</li>" for v in program.variants)
         name = program.selector
-        chooses = f"The parameter <code>{name}</code>, or its number <code>{name}_index</code> (0: as <code>{name}</code> says), chooses"
+        chooses = (
+            f"The parameter <code>{name}</code>, or its number <code>{name}_index</code> (0: as <code>{name}</code> says), chooses"
+        )
         parts.append(f"<p>{chooses}; <code>{name}_running</code> is the number of what runs:</p>\n<ol>{items}</ol>")
     for title, causalities in PAGE_SECTIONS.items():
         if variables := interface.of(*causalities):

@@ -101,8 +101,8 @@ def message() -> Callable[[Callable[[], Any]], str]:
 @pytest.fixture(autouse=True, scope="session")
 def without_lines_of_progress() -> Iterator[None]:
     """Print none, however long a command takes: tests look at the standard error for messages."""
-    from bristle.cli import main as cli
+    from bristle.cli import terminal
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "SECONDS_BETWEEN_LINES", float("inf"))
+        patch.setattr(terminal, "SECONDS_BETWEEN_LINES", float("inf"))
         yield

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from bristle import diagnosis
-from bristle.cli import main as cli
+from bristle.cli import terminal
 from bristle.common import output
 from bristle.common.errors import BristleError
 from bristle.diagnosis import SearchOptions
@@ -179,7 +179,7 @@ def test_an_interrupt_is_said_and_changes_nothing(
         os.kill(os.getpid(), signal.SIGINT)
         progress("candidates", 0.5)
 
-    monkeypatch.setattr(cli, "_interrupts", [])
+    monkeypatch.setattr(terminal, "_interrupts", [])
     monkeypatch.setattr(diagnosis, "diagnose", interrupted, raising=False)
     assert call("diagnose", "m.toml", "--data", "a.csv", "--out", tmp_path / "out") == (2, "", "bristle: interrupted\n")
     assert os.listdir(tmp_path) == []
@@ -202,7 +202,7 @@ def test_an_answer_that_cannot_be_written_is_said(
 
 def test_a_terminal_sees_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    with cli._fraction("diagnose") as tell:
+    with terminal.fraction("diagnose") as tell:
         tell("candidates", 0.5)
         tell("writing", 1.0)
     assert "diagnose" in capsys.readouterr().err

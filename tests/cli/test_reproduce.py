@@ -38,12 +38,12 @@ def test_what_cannot_be_written_is_2_and_one_line(call: Callable[..., tuple[int,
 def test_the_exit_code_is_that_of_the_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import typer
 
-    from bristle.cli import main
+    from bristle.cli.commands.reproduce import reproduce
 
     for verdict, code in (("pass", 0), ("fail", 1)):
         monkeypatch.setattr(harness, "reproduce", lambda out, tell, verdict=verdict: {"verdict": verdict})
         with pytest.raises(typer.Exit) as left:
-            main.reproduce(tmp_path)
+            reproduce(tmp_path)
         assert left.value.exit_code == code
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bristle.cli import main as cli
-from bristle.cli.main import _search_options
+from bristle.cli import terminal
+from bristle.cli.commands.diagnose import search_options
 from bristle.common.deadline import OutOfTime, check_deadline, until
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, records_from_arrays
@@ -97,21 +97,21 @@ def test_a_deadline_holds_in_threads_and_ends_with_its_block() -> None:
 
 
 def test_a_budget_is_a_time_above_zero() -> None:
-    assert _search_options(0, "60s") == _search_options(0, "1 min") == replace(SearchOptions(), budget=60.0)
-    assert _search_options(2, None) == SearchOptions(jobs=2)
+    assert search_options(0, "60s") == search_options(0, "1 min") == replace(SearchOptions(), budget=60.0)
+    assert search_options(2, None) == SearchOptions(jobs=2)
     for wrong in ("60", "0 s", "-5s", "fast", "3 rad"):
         with pytest.raises(BristleError, match=r"^--budget"):
-            _search_options(0, wrong)
+            search_options(0, wrong)
 
 
 def test_progress_is_printed_line_by_line_where_there_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "SECONDS_BETWEEN_LINES", -1.0)
-    with cli._fraction("diagnose") as tell:
+    monkeypatch.setattr(terminal, "SECONDS_BETWEEN_LINES", -1.0)
+    with terminal.fraction("diagnose") as tell:
         tell("trying bias", 0.25)
     assert capsys.readouterr().err == "diagnose: trying bias, 25%\n"
-    monkeypatch.setattr(cli, "SECONDS_BETWEEN_LINES", 60.0)
-    with cli._fraction("diagnose") as tell:
+    monkeypatch.setattr(terminal, "SECONDS_BETWEEN_LINES", 60.0)
+    with terminal.fraction("diagnose") as tell:
         tell("trying bias", 0.25)
     assert capsys.readouterr().err == ""

@@ -1,0 +1,8 @@
+"""The commands, one file each; importing this package makes them known, in the order of the help."""
+
+from importlib import import_module
+
+for _name in ("list_", "build", "run", "reproduce", "init", "diagnose", "validate", "diff"):
+    import_module(f"{__name__}.{_name}")
+
+__all__: list[str] = []

@@ -1,0 +1,46 @@
+"""`bristle build`: FMUs."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bristle.cli.app import DebugOption, Fmi, FmiOption, Kind, KindOption, app, path_of
+
+if TYPE_CHECKING:
+    pass
+
+
+class What(StrEnum):
+    """Which FMU."""
+
+    plant = "plant"
+    observer = "observer"
+    controller = "controller"
+    all = "all"
+
+
+@app.command()
+def build(
+    what: Annotated[What, typer.Argument(help="which FMU")] = What.all,
+    out: Annotated[Path, typer.Option(help="folder for the .fmu files", metavar="FOLDER", parser=path_of)] = Path(),
+    fmi: FmiOption = Fmi.two,
+    kind: KindOption = Kind.native,
+    law: Annotated[str | None, typer.Option(help="a plant of one friction law")] = None,
+    method: Annotated[str | None, typer.Option(help="an observer of one method")] = None,
+    effects: Annotated[str | None, typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...")] = None,
+    encoder: Annotated[bool, typer.Option(help="without: Model Exchange for a plant of one smooth law")] = True,
+    debug: DebugOption = False,
+) -> None:
+    """Build FMUs."""
+    from bristle.harness.catalogue import Choice, build_file
+
+    added = tuple(name.strip() for name in effects.split(",")) if effects else ()
+    choices = {"plant": Choice(law, None, added, encoder), "observer": Choice(None, method), "controller": Choice()}
+    if what is not What.all:
+        choices = {what.value: Choice(law, method, added, encoder)}
+    for part, choice in choices.items():
+        print(build_file(part, out, fmi=int(fmi.value), kind=kind.value, choice=choice))

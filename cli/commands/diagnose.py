@@ -1,0 +1,138 @@
+"""`bristle diagnose`: the effect that a model lacks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bristle.cli.app import DebugOption, Fmi, app, path_of
+from bristle.cli.files import DataCommand, files_of
+from bristle.cli.terminal import command_line, fraction
+from bristle.common.errors import BristleError, IncompleteError
+
+if TYPE_CHECKING:
+    from bristle.diagnosis.report.result import Diagnosis
+    from bristle.diagnosis.selection.start_values import SearchOptions
+
+
+@app.command(
+    cls=DataCommand,
+    short_help="Name the effect that a model lacks, from measured records.",
+    epilog="With both MODEL.toml and --fmu, the FMU is diagnosed, and the file gives the columns and the nominal J and friction. "
+    "With --fmu alone, it must have the parameters J, a2 and b, and the columns are t [s], u and theta or, "
+    "of an FMU without it, v, in the units of the FMU. "
+    "Exit code 0: it completed, whatever it found; 2: an error.",
+)
+def diagnose(
+    data: Annotated[
+        list[Path], typer.Option(help="measured files or patterns (two files or more are best)", metavar="FILE...", parser=path_of)
+    ],
+    out: Annotated[
+        Path, typer.Option(help="folder for diagnosis.json, report.html and the augmented model", metavar="FOLDER", parser=path_of)
+    ] = Path("out"),
+    model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=path_of)] = None,
+    fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=path_of)] = None,
+    choose: Annotated[str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME")] = None,
+    fill: Annotated[bool, typer.Option("--fill", help="put what is left unexplained into the model, as an unnamed torque")] = False,
+    jobs: Annotated[int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")] = 0,
+    budget: Annotated[str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")] = None,
+    fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
+    debug: DebugOption = False,
+) -> None:
+    """Find where a model and measured records disagree, name the missing effect, and write the model with it."""
+    if model is None and fmu is None:
+        raise BristleError("nothing to diagnose; give MODEL.toml or --fmu PLANT.fmu")
+    _check_effect(choose)
+    data = files_of(data)
+    from bristle.common.output import output_folder
+    from bristle.common.provenance import provenance_of
+    from bristle.diagnosis.report.export import check_places, nothing_filled, write
+
+    options = search_options(jobs, budget)
+    check_places(out, [path for path in (model, fmu, *data) if path is not None])
+    with output_folder(out), fraction("diagnose") as tell:
+        found = _diagnosed(model, fmu, data, tell, options)
+        tell("writing", 1.0)
+        problem = None
+        try:
+            write(found, out, choose, fmi=int(fmi.value), made=provenance_of(fmu or model, data, command_line()), fill=fill)
+        except BristleError as error:
+            problem = error
+    _summary(found, choose if problem is None else None)  # the answer is printed even if it cannot be written
+    if fill and not (found.unnamed is not None and found.unnamed.offered):
+        print(nothing_filled(found))
+    if problem is None or isinstance(problem, IncompleteError):
+        print(f"{found.verdict}  {out / 'report.html'}", flush=True)
+    if problem is not None:
+        raise problem
+
+
+def _check_effect(name: str | None) -> None:
+    """Raise BristleError for an unknown effect, before a long computation."""
+    if name is not None:
+        from bristle.plant.effects import effect
+
+        effect(name)
+
+
+def search_options(jobs: int, budget: str | None) -> SearchOptions:
+    """Return the options of a search; raise BristleError for a budget that is no time above 0."""
+    from bristle.common.units import quantity
+    from bristle.diagnosis.selection.start_values import SearchOptions
+
+    if budget is None:
+        return SearchOptions(jobs=jobs)
+    try:
+        seconds = quantity(re.sub(r"(?<=[\d.])(?=[a-z]+$)", " ", budget), "s")
+    except BristleError as error:
+        raise BristleError(f"--budget: {error}") from None
+    if not seconds > 0:
+        raise BristleError(f"--budget is {budget}; give a time above 0, such as 60s")
+    return SearchOptions(jobs=jobs, budget=seconds)
+
+
+def _diagnosed(
+    model: Path | None, fmu: Path | None, data: Sequence[Path], tell: Callable[[str, float], None], options: SearchOptions
+) -> Diagnosis:
+    """Read and diagnose a model or an FMU."""
+    from bristle import diagnosis
+
+    tell("reading", 0.0)
+    if fmu is not None:
+        known = diagnosis.load_model(model) if model is not None else diagnosis.fmu_model(fmu)
+        return diagnosis.diagnose_fmu(fmu, known, diagnosis.load_records(known, data), progress=tell, options=options)
+    assert model is not None
+    known = diagnosis.load_model(model)
+    return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell, options=options)
+
+
+def _summary(found: Diagnosis, chosen: str | None = None) -> None:
+    """Print the answer in one line and in sentences, what to measure next, findings, and the parameters of the effects."""
+    from bristle.diagnosis.report.headline import headline
+    from bristle.diagnosis.report.text import effect_name, plain_texts
+
+    print(headline(found))
+    text = "\n".join(found.statement)
+    for line in (*found.statement, *(line for line in found.proposals if line.rstrip("?.") not in text)):
+        print(line)
+    if found.experiment:
+        print(f"What to measure next: {found.experiment}")
+    if chosen is not None:
+        print(f"The augmented model has {effect_name(chosen)}, as chosen.")
+    elif found.choices:
+        print(f"For a model with one of these effects, give --choose: {', '.join(found.choices)}")
+    for line in found.findings:
+        print(f"  - {line}")
+    rows = [("effect", "parameter", "value", "95 % interval", "unit")]
+    for effect in found.effects:
+        for name, e in effect.parameters.items():
+            value, low, high = plain_texts(e)
+            interval = f"{low} ... {high}" if low else "-"
+            rows.append((effect.name, name, value + (" (at its bound)" if e.at_bound else ""), interval, e.unit))
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows if len(rows) > 1 else ():
+        print("  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())

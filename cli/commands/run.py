@@ -1,0 +1,91 @@
+"""`bristle run`: scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, app, path_of
+from bristle.cli.terminal import complain, progress
+from bristle.common.errors import BristleError
+
+if TYPE_CHECKING:
+    from bristle.harness.run import Checked, Options, Run
+
+
+@app.command(short_help="Run scenarios, and compare estimates with true values.")
+def run(
+    scenarios: Annotated[list[Path], typer.Argument(help="files, or names from bristle list", metavar="SCENARIO", parser=path_of)],
+    out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out"),
+    kind: KindOption = Kind.native,
+    fmi: FmiOption = Fmi.two,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
+    full: Annotated[bool, typer.Option("--full", help="signals.csv at full rate")] = False,
+    debug: DebugOption = False,
+) -> None:
+    """Run scenarios and write a result folder for each; none runs before all are checked."""
+    from bristle.common.output import output_folder
+    from bristle.harness.run import Options
+
+    _refuse_duplicates(scenarios)
+    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full)
+    with output_folder(out):
+        checked = [_checked(path, out, options, debug) for path in scenarios]
+        ready = [each for each in checked if each is not None]
+        worst = max(_executed(each, debug) for each in ready) if len(ready) == len(checked) else ERROR
+        raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
+
+
+def _checked(path: Path, out: Path, options: Options, debug: bool) -> Checked | None:
+    """Check a scenario; of one that cannot be run, print the error and return None."""
+    from bristle.harness.catalogue import find_scenario
+    from bristle.harness.run import check
+
+    try:
+        with progress(path.stem) as tell:
+            return check(find_scenario(path), out, options, tell)
+    except BristleError as error:
+        complain(error, debug)
+        return None
+
+
+def _executed(checked: Checked, debug: bool) -> int:
+    """Run a scenario, print its verdict or its error, and return the exit code."""
+    from bristle.harness.run import execute
+
+    try:
+        with progress(checked.setup.loaded.name) as tell:
+            done = execute(checked, tell)
+    except BristleError as error:
+        complain(error, debug)
+        return ERROR
+    _report(done)
+    return PASS if done.passed else FAIL
+
+
+def _refuse_duplicates(paths: Sequence[Path]) -> None:
+    stems = [path.stem for path in paths]
+    for path in paths:
+        if stems.count(path.stem) > 1:
+            raise BristleError(
+                f"scenario '{path.stem}' is given {stems.count(path.stem)} times; results are named by the file: rename one"
+            )
+
+
+def _report(done: Run) -> None:
+    """Print the verdict of a run, why it failed, and findings on its record."""
+    result = done.result
+    failed = [check["name"] for check in result["checks"] if not check["pass"]]
+    why = ""
+    if "diverged" in result:
+        why = f"  {result['diverged']['fmu']} stopped at {result['diverged']['time_s']:g} s: {result['diverged']['message']}"
+    elif failed:
+        why = f"  failed: {', '.join(failed)}"
+    head = f"{result['scenario']:<24} {result['verdict']:<4} {result['wall_s']:7.1f} s"
+    print(f"{head}  {done.folder / 'report.html'}{why}", flush=True)
+    for line in done.findings:
+        print(f"  - {line}", flush=True)

@@ -1,0 +1,153 @@
+"""What all commands say on the terminal: errors in one line, progress; and how they are interrupted."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import shlex
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from bristle.cli.app import app
+from bristle.common.errors import BristleError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+DID_YOU_MEAN = re.compile(r"\. Did you mean (.*\?)$")  # how the option parser proposes a command
+SECONDS_BETWEEN_LINES = 5.0  # s, of progress where there is no terminal for a bar
+LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
+
+
+class Interrupted(BaseException):
+    """Ctrl-C or SIGTERM; not a KeyboardInterrupt, which the option parser would turn into its own exit code."""
+
+
+def say(line: str) -> None:
+    """Print one line, whatever it holds, to the error output."""
+    print(" ".join(line.split()), file=sys.stderr, flush=True)
+
+
+def complain(error: BaseException, debug: bool) -> None:
+    """Print an error as one line."""
+    if debug:
+        traceback.print_exc()
+    say(explain(error))
+
+
+def command_line() -> str:
+    """Return the command that repeats this call."""
+    return shlex.join(["bristle", *sys.argv[1:]])
+
+
+@contextmanager
+def _bar() -> Iterator[Progress | None]:
+    """Give a progress bar on a terminal, else None."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.fields[name]}"),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield bar
+
+
+@contextmanager
+def progress(name: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Show the progress of a run, stage by stage."""
+    with _bar() as bar:
+        if bar is None:
+            yield lambda stage, done, total: check_interrupt()
+            return
+        current = [bar.add_task("starting", name=name, total=None)]
+        stages = ["starting"]
+
+        def tell(stage: str, done: int, total: int) -> None:
+            check_interrupt()
+            if stage != stages[-1]:
+                bar.remove_task(current.pop())
+                current.append(bar.add_task(stage, name=name, total=total or None))
+                stages.append(stage)
+            bar.update(current[0], completed=done)
+
+        yield tell
+
+
+@contextmanager
+def fraction(name: str) -> Iterator[Callable[[str, float], None]]:
+    """Show the progress of a long computation: its present step, and the share that is done."""
+    with _bar() as bar:
+        task = None if bar is None else bar.add_task("starting", name=name, total=1.0)
+        last = time.monotonic()
+
+        def tell(text: str, fraction: float) -> None:
+            nonlocal last
+            check_interrupt()
+            if bar is not None and task is not None:
+                bar.update(task, description=text, completed=fraction)
+            elif time.monotonic() > last + SECONDS_BETWEEN_LINES:
+                last = time.monotonic()
+                print(f"{name}: {text}, {fraction:.0%}", file=sys.stderr, flush=True)
+
+        yield tell
+
+
+_interrupts: list[int] = []
+
+
+def interrupt(number: int, _frame: object) -> None:
+    """Raise once; later signals are ignored, so that the clean-up can finish."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    _interrupts.append(number)
+    raise Interrupted(number)
+
+
+def check_interrupt() -> None:
+    """Raise an interrupt again that came in a finaliser or a callback from C, where Python drops exceptions."""
+    if _interrupts:
+        raise Interrupted(_interrupts[0])
+
+
+def show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: object = None, line: str | None = None
+) -> None:
+    """Print in one line what is deprecated; of other warnings also where they come from."""
+    say(f"bristle: {message}" if issubclass(category, FutureWarning) else f"{filename}:{lineno}: {category.__name__}: {message}")
+
+
+def _names() -> list[str]:
+    return [command.name or str(getattr(command.callback, "__name__", "")) for command in app.registered_commands]
+
+
+def explain(error: BaseException) -> str:
+    """Return an error as one line; wrong options are errors of the option parser."""
+    usage = getattr(error, "format_message", None)
+    if isinstance(error, Interrupted):
+        return "bristle: interrupted"
+    if isinstance(error, BristleError):
+        return f"bristle: {error}"
+    if type(error).__name__ == "NoArgsIsHelpError":
+        return f"bristle: no command; choose one of {', '.join(_names())}, or see bristle --help"
+    if type(error).__name__ == "NoSuchOption":  # click also proposes options that are hardly alike
+        name, known = getattr(error, "option_name", ""), getattr(error, "possibilities", None) or []
+        error.possibilities = difflib.get_close_matches(name, known, 1, LIKE)  # type: ignore[attr-defined]  # of click, by its name
+    if usage is not None:
+        context = getattr(error, "ctx", None)
+        command = "bristle" if context is None or context.parent is None else f"bristle {context.info_name}"
+        said = DID_YOU_MEAN.sub(r" (did you mean \1)", usage().replace("Value error, ", "").rstrip("."))
+        return f"bristle: {said}; see {command} --help"
+    return f"bristle: {type(error).__name__}: {error}; run again with --debug and report the traceback"
