@@ -117,5 +117,7 @@ def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationEr
         "model_type": "must be a table; write it as [section]",
         "dict_type": "must be a table; write it as [section]",
         "string_type": "must be text in quotes",
+        "list_type": "must be a list, in brackets",
+        "tuple_type": "must be a list, in brackets",
     }.get(kind, first["msg"].replace("Input should be", "must be"))
     return mistake(path, key, value, f"{hint}; change the value{more}")

@@ -203,6 +203,8 @@ class Extension:
         Map of the input after the limit.
     torque : function
         Torque added [N.m].
+    load : function
+        Constant torque within `torque` [N.m], which an observer is to find as the load.
     factor : function
         Factors (for forward, for backward motion) on the dry friction of the law. A set-valued law gets two bounds; a
         smooth law chooses by the sign of its friction force, so that the product stays continuous.
@@ -235,6 +237,7 @@ class Extension:
     command: Callable[[Context], SX] | None = None
     drive: Callable[[Context], SX] | None = None
     torque: Callable[[Context], SX] | None = None
+    load: Callable[[Context], SX] | None = None
     factor: Callable[[Context], tuple[SX, SX]] | None = None
     bound: Callable[[Context], tuple[SX, SX]] | None = None
     output: Callable[[Context], tuple[SX, SX]] | None = None
@@ -407,6 +410,10 @@ class Effects:
             if effect.torque is not None and effect.load_side is load_side:
                 start = start + effect.torque(c)
         return start
+
+    def load(self) -> SX:
+        """Return the constant torque that acts as a load."""
+        return sum((effect.load(c) for effect, c in self.having("load") if effect.load is not None), SX(0))
 
     def friction(self, law: FrictionLaw, friction: Friction, scale: SX, motor: SX, inertia: SX) -> tuple[SX, SX | None, SX | None]:
         """Return (friction torque, bound of set-valued friction, bound against backward motion where it differs)."""

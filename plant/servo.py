@@ -110,7 +110,7 @@ def _servo(law: FrictionLaw, encoder: bool, ordered: Sequence[Extension]) -> Sys
     if encoder:
         _encoder(system, position, theta_first)
     lost = {name for effect in ordered for name in effect.without_truth}
-    true = {"alpha2": a2 / j, "b": b / j, "load": SX(0), "delay": SX(0) if delay is None else delay, **friction.true}
+    true = {"alpha2": a2 / j, "b": b / j, "load": work.load() / j, "delay": SX(0) if delay is None else delay, **friction.true}
     _true_values(system, {name: x for name, x in true.items() if name not in lost})
     return system
 

@@ -31,14 +31,14 @@ def build(
     kind: KindOption = Kind.native,
     law: Annotated[str | None, typer.Option(help="a plant of one friction law")] = None,
     method: Annotated[str | None, typer.Option(help="an observer of one method")] = None,
-    effects: Annotated[str | None, typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...")] = None,
+    effects: Annotated[list[str] | None, typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...")] = None,
     encoder: Annotated[bool, typer.Option(help="without: Model Exchange for a plant of one smooth law")] = True,
     debug: DebugOption = False,
 ) -> None:
     """Build FMUs."""
     from bristle.harness.catalogue import Choice, build_file
 
-    added = tuple(name.strip() for name in effects.split(",")) if effects else ()
+    added = tuple(name.strip() for names in effects or () for name in names.split(","))
     choices = {"plant": Choice(law, None, added, encoder), "observer": Choice(None, method), "controller": Choice()}
     if what is not What.all:
         choices = {what.value: Choice(law, method, added, encoder)}

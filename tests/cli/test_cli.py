@@ -264,7 +264,9 @@ def test_build_writes_readable_fmus(cli: Cli, inside: Cli, tmp_path: Path) -> No
     lean = inside("build", "plant", "--law", "viscous", "--out", tmp_path / "fmus")
     assert read_model_description(lean.stdout.strip()).modelName == "ServoPlant_viscous"
     assert sorted(os.listdir(tmp_path / "fmus")) == ["Controller.fmu", "ServoPlant_viscous.fmu"]
-    more = inside("build", "plant", "--law", "lugre", "--effects", "cogging, bias", "--fmi", "3", "--out", tmp_path / "fmus")
+    more = inside(
+        "build", "plant", "--law", "lugre", "--effects", "cogging", "--effects", " bias", "--fmi", "3", "--out", tmp_path / "fmus"
+    )
     found = {v.name: v for v in read_model_description(more.stdout.strip()).modelVariables}
     assert more.stdout.strip().endswith("ServoPlant_lugre_bias_cogging.fmu")
     assert (found["cogging.amplitude"].unit, found["bias.torque"].causality) == ("N.m", "parameter")

@@ -56,6 +56,15 @@ def test_effects_from_the_command_line(base: str, scenario_file: Maker) -> None:
     np.testing.assert_array_equal(one, signals(scenario_file(with_effects(base, "bias"))))
 
 
+def test_a_bias_is_the_load_that_an_observer_should_find(base: str, scenario_file: Maker, tmp_path: Path) -> None:
+    text = with_effects(base, "bias", parameters='bias.torque = "0.4 mN.m"').replace("2 s", "20 s")
+    done = run(scenario_file(text), tmp_path, Options())
+    load = done.result["estimates"]["load"]
+    assert load["true"] == pytest.approx(0.4e-3 / 1e-3)
+    assert load["valid"]
+    assert abs(load["error_percent"]) < 5
+
+
 def test_the_observer_gets_the_input_without_the_noise(base: str, scenario_file: Maker) -> None:
     path = scenario_file(with_effects(base, "input_noise"))
     loaded = load(path)
