@@ -27,12 +27,16 @@ HASHED_DISTRIBUTIONS = ("bristle", "casadi", "fmpy", "pythonfmu")
 HASHED_PLUGINS = ("laws", "effects", "observers")  # sub-folders of plug-in folders whose files an FMU may contain
 
 
-def _check(what: str, fmi: int, kind: str, law: str | None, method: str | None, effects: Sequence[str]) -> str | None:
+def _check(
+    what: str, fmi: int, kind: str, law: str | None, method: str | None, effects: Sequence[str], platforms: str = "host"
+) -> str | None:
     """Return the variant asked for, or None for all; raise `BristleError` for what cannot be built."""
     if what not in FMU_NAMES:
         raise BristleError(f"unknown FMU '{what}'; known: {', '.join(FMU_NAMES)}")
     if kind not in ("native", "python"):
         raise BristleError(f"unknown kind of FMU '{kind}'; known: native, python")
+    if kind == "python" and platforms != "host":
+        raise BristleError("a python FMU has no binary of its own to compile; leave out the platforms, or choose native")
     if fmi not in ((2, 3) if kind == "native" else (2,)):
         raise BristleError(f"a {kind} FMU cannot be of FMI {fmi}; choose {'2 or 3' if kind == 'native' else '2'}")
     for name, value in (("law", law), ("method", method)):
@@ -55,15 +59,16 @@ def program_of(what: str, variant: str | None = None, effects: Sequence[str] = (
     return program
 
 
-def program_files(program: Program, fmi: int = 2, kind: str = "native") -> dict[str, bytes]:
-    """Return the content of an FMU, file name -> bytes; `fmi` and `kind` as of `build`."""
+def program_files(program: Program, fmi: int = 2, kind: str = "native", platforms: str = "host") -> dict[str, bytes]:
+    """Return the content of an FMU, file name -> bytes; `fmi`, `kind` and `platforms` as of `build`."""
     if kind == "python":
         from bristle.fmus.python_fmu import python_files
 
         return python_files(program)
     from bristle.fmus.native import native_files
+    from bristle.fmus.platforms import find_platforms
 
-    return native_files(program, fmi)
+    return native_files(program, fmi, find_platforms(platforms))
 
 
 def build(
@@ -78,6 +83,7 @@ def build(
     encoder: bool = True,
     parameters: Mapping[str, float] | None = None,
     units: Callable[[str, str], str] | None = None,
+    platforms: str = "host",
 ) -> Path:
     """Write an FMU to a file.
 
@@ -101,17 +107,20 @@ def build(
         Start values of parameters in SI units, in place of their defaults.
     units : function, optional
         Gives the unit that a variable is declared with, from its name and its usual unit.
+    platforms : str
+        What a native FMU is compiled for: ``host``, ``all``, or names such as ``win64,linux64`` (`find_platforms`).
 
     Raises
     ------
     BristleError
-        If the FMU, law, method or effect is unknown, there is no compiler, a parameter is unknown or outside its interval, or
+        If the FMU, law, method, effect or platform is unknown, there is no compiler, a parameter is unknown or out of range, or
         `out` cannot be written.
     """
     from bristle.fmus.pack import write_archive
 
-    program = program_of(what, _check(what, fmi, kind, law, method, effects), effects, encoder).preset(parameters or {})
-    return write_archive(Path(out), program_files(program if units is None else program.in_units(units), fmi, kind))
+    program = program_of(what, _check(what, fmi, kind, law, method, effects, platforms), effects, encoder).preset(parameters or {})
+    declared = program if units is None else program.in_units(units)
+    return write_archive(Path(out), program_files(declared, fmi, kind, platforms))
 
 
 def _sources(package: str) -> list[str | bytes]:

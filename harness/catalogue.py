@@ -74,12 +74,13 @@ def catalogue() -> dict[str, dict[str, str]]:
 
 @dataclass(frozen=True)
 class Choice:
-    """What an FMU holds: one law or method, or all; effects of the plant, and whether it has its encoder."""
+    """What an FMU holds: one law or method, or all; effects of the plant, and whether it has its encoder; what it runs on."""
 
     law: str | None = None
     method: str | None = None
     effects: Sequence[str] = ()
     encoder: bool = True
+    platforms: str = "host"
 
 
 def build_file(what: str, out: Path, *, fmi: int, kind: str, choice: Choice) -> Path:

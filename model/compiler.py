@@ -1,4 +1,4 @@
-"""The C compiler: the machine's own, or zig from the extra `cross`."""
+"""The C compiler: the machine's own, or zig from the extra `cross`, which also compiles for other platforms."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -21,23 +22,62 @@ from bristle.common.errors import BristleError
 # No fused multiply-add: all platforms and the generated Python then give the same digits.
 # No check of array bounds: loops run to the number of states of a variant, which -O3 wrongly suspects to exceed the arrays.
 FLAGS = (
-    "-std=c99", "-O3", "-fPIC", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
+    "-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
     "-Wall", "-Wextra", "-Werror", "-Wno-array-bounds",
 )  # fmt: skip
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
 TIMEOUT = 600  # s, of one compilation; the first one with zig takes a minute
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
-@lru_cache(maxsize=1)
-def find_compiler() -> tuple[str, ...]:
-    """Return the command of a C compiler: $CC, cc, gcc, clang or zig.
+@dataclass(frozen=True)
+class Target:
+    """What a library is compiled for.
+
+    Attributes
+    ----------
+    system : str
+        As in `sys.platform`: linux, win32 or darwin.
+    triple : str
+        Name of the platform for zig; empty for this machine, which its own compiler compiles for.
+    """
+
+    system: str = sys.platform
+    triple: str = ""
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of a shared library."""
+        return {"win32": ".dll", "darwin": ".dylib"}.get(self.system, ".so")
+
+    def flags(self) -> tuple[str, ...]:
+        """Return the flags of a compilation; code for Windows is always position-independent."""
+        return FLAGS if self.system == "win32" else (*FLAGS, "-fPIC")
+
+    def link_flags(self, name: str) -> tuple[str, ...]:
+        """Return the flags that link a library of this name; nothing in it may depend on when or where that was."""
+        if self.system == "darwin":
+            return (f"-Wl,-install_name,@rpath/{name}{self.suffix}",)
+        return () if self.system == "win32" else ("-Wl,--build-id=none", "-lm")
+
+
+HOST = Target()
+SUFFIX = HOST.suffix
+
+
+@lru_cache
+def find_compiler(triple: str = "") -> tuple[str, ...]:
+    """Return the command of a C compiler: $CC, cc, gcc, clang or zig; for a `triple`, that of another platform, zig.
 
     Raises
     ------
     BristleError
         If none is found.
     """
+    zig = importlib.util.find_spec("ziglang") is not None
+    if triple and not zig:
+        raise BristleError("other platforms need the compiler zig; run: pip install 'bristle[cross]'")
+    if triple:
+        return (sys.executable, "-m", "ziglang", "cc", "-target", triple)
     if given := os.environ.get("CC"):
         command = shlex.split(given)
         if shutil.which(command[0]) is None:
@@ -46,29 +86,32 @@ def find_compiler() -> tuple[str, ...]:
     for name in ("cc", "gcc", "clang"):
         if path := shutil.which(name):
             return (path,)
-    if importlib.util.find_spec("ziglang"):
+    if zig:
         machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
         system = {"win32": "windows-gnu", "darwin": "macos"}.get(sys.platform, "linux-gnu.2.17")
         return (sys.executable, "-m", "ziglang", "cc", "-target", f"{machine}-{system}")
     raise BristleError("no C compiler found (cc, gcc, clang); install one, or run: pip install 'bristle[cross]'")
 
 
-@lru_cache(maxsize=1)
-def compiler_identity() -> str:
+@lru_cache
+def compiler_identity(triple: str = "") -> str:
     """Return what identifies a compiler: the command, and version or size and date of the program behind it."""
-    command = find_compiler()
+    command = find_compiler(triple)
     if "ziglang" in command:
         from importlib.metadata import version
 
-        return f"{command} {version('ziglang')}"
+        return f"{command[1:]} {version('ziglang')}"
     status = os.stat(shutil.which(command[0]) or command[0])
     return f"{command} {status.st_size} {status.st_mtime_ns}"
 
 
 def _environment(folder: Path) -> dict[str, str]:
-    """Return the environment of a compilation: zig keeps its cache in the cache folder and needs no home directory."""
+    """Return the environment of a compilation: zig keeps its cache in the cache folder and needs no home directory.
+
+    Libraries for Windows hold the time at which they were linked, unless a fixed one is given.
+    """
     zig = {f"ZIG_{which}_CACHE_DIR": str(cache_folder() / "zig") for which in ("GLOBAL", "LOCAL")}
-    return zig | os.environ | {"TMPDIR": str(folder.resolve())}
+    return zig | os.environ | {"TMPDIR": str(folder.resolve()), "SOURCE_DATE_EPOCH": "0"}
 
 
 def _included(text: str, sources: Mapping[str, str], found: dict[str, str]) -> dict[str, str]:
@@ -80,10 +123,11 @@ def _included(text: str, sources: Mapping[str, str], found: dict[str, str]) -> d
     return found
 
 
-def _compiler(arguments: Sequence[str], folder: Path) -> None:
+def _compiler(triple: str, arguments: Sequence[str], folder: Path) -> None:
     """Run the compiler in a folder; raise `BristleError` if it fails."""
-    name = "zig" if "ziglang" in find_compiler() else find_compiler()[0]
-    command = [*find_compiler(), *arguments]
+    found = find_compiler(triple)
+    name = "zig" if "ziglang" in found else found[0]
+    command = [*found, *arguments]
     try:
         done = subprocess.run(
             command, cwd=folder, env=_environment(folder), capture_output=True, text=True, check=False, timeout=TIMEOUT
@@ -107,14 +151,14 @@ def _building(out: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _compile_unit(unit: str, files: Mapping[str, str], out: Path) -> None:
+def _compile_unit(unit: str, files: Mapping[str, str], target: Target, out: Path) -> None:
     with _building(out) as folder:
         for file, text in files.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
-        _compiler([*FLAGS, "-I.", "-c", unit, "-o", "result"], folder)
+        _compiler(target.triple, [*target.flags(), "-I.", "-c", unit, "-o", "result"], folder)
 
 
-def compile_shared(sources: Mapping[str, str], out: Path) -> None:
+def compile_shared(sources: Mapping[str, str], out: Path, target: Target = HOST) -> None:
     """Compile C sources (file name -> text) into the shared library `out`.
 
     A unit is compiled once and kept in the cache by the text of all that it includes: the FMUs of both versions and the program
@@ -130,9 +174,9 @@ def compile_shared(sources: Mapping[str, str], out: Path) -> None:
         objects = []
         for unit in sorted(file for file in sources if file.endswith(".c")):
             files = {unit: sources[unit]} | _included(sources[unit], sources, {})
-            key = digest(*FLAGS, compiler_identity(), *(text for file in sorted(files.items()) for text in file))
-            made = cached(f"{Path(unit).stem}-{key[:24]}.o", partial(_compile_unit, unit, files))
+            made_by = (*target.flags(), compiler_identity(target.triple))
+            key = digest(*made_by, *(text for file in sorted(files.items()) for text in file))
+            made = cached(f"{Path(unit).stem}-{key[:24]}.o", partial(_compile_unit, unit, files, target))
             objects.append(f"{Path(unit).stem}.o")
             shutil.copyfile(made, folder / objects[-1])
-        elf = [] if sys.platform in ("win32", "darwin") else ["-Wl,--build-id=none", "-lm"]
-        _compiler(["-shared", "-s", *objects, *elf, "-o", "result"], folder)
+        _compiler(target.triple, ["-shared", "-s", *objects, *target.link_flags(out.stem), "-o", "result"], folder)

@@ -163,6 +163,7 @@ def build(
     method: str | None = None,
     effects: Sequence[str] = (),
     encoder: bool = True,
+    platforms: str = "host",
 ) -> Path:
     """Build an FMU.
 
@@ -185,6 +186,9 @@ def build(
         plant has all laws that the effects can join.
     encoder : bool, optional
         False leaves the encoder outputs of the plant out; that of one smooth law then also offers Model Exchange.
+    platforms : str, optional
+        What a native FMU runs on: ``"host"``, ``"all"``, or names such as ``"win64,linux64"``; others than this machine need the
+        extra ``cross``.
 
     Returns
     -------
@@ -194,15 +198,15 @@ def build(
     Raises
     ------
     BristleError
-        If there is no such part, law, method or effect, an effect cannot join the law, there is no C compiler, or the folder cannot
-        be written.
+        If there is no such part, law, method, effect or platform, an effect cannot join the law, there is no compiler, or the
+        folder cannot be written.
     """
     from bristle.harness.catalogue import Choice, build_file
 
     return build_file(
         as_choice("part", part, PARTS), as_path("out", out),
         fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS),
-        choice=Choice(law, method, as_names("effects", effects), encoder),
+        choice=Choice(law, method, as_names("effects", effects), encoder, platforms),
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,14 +34,20 @@ def build(
     method: Annotated[str | None, typer.Option(help="an observer of one method")] = None,
     effects: Annotated[list[str] | None, typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...")] = None,
     encoder: Annotated[bool, typer.Option(help="without: Model Exchange for a plant of one smooth law")] = True,
+    platforms: Annotated[
+        str,
+        typer.Option(help="host, all, or names such as win64,linux64; others than host need bristle[cross]", metavar="NAME,..."),
+    ] = "host",
     debug: DebugOption = False,
 ) -> None:
     """Build FMUs."""
     from bristle.harness.catalogue import Choice, build_file
 
     added = tuple(name.strip() for names in effects or () for name in names.split(","))
-    choices = {"plant": Choice(law, None, added, encoder), "observer": Choice(None, method), "controller": Choice()}
-    if what is not What.all:
-        choices = {what.value: Choice(law, method, added, encoder)}
+    asked = Choice(law, method, added, encoder, platforms)
+    choices = {what.value: asked}
+    if what is What.all:
+        plant, observer = replace(asked, method=None), replace(asked, law=None, effects=(), encoder=True)
+        choices = {"plant": plant, "observer": observer, "controller": Choice(platforms=platforms)}
     for part, choice in choices.items():
         print(build_file(part, out, fmi=int(fmi.value), kind=kind.value, choice=choice))

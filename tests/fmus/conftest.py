@@ -16,7 +16,7 @@ import pytest
 from fmpy import read_model_description
 
 from bristle.fmus import obtain
-from bristle.fmus.native import platform_folder
+from bristle.fmus.platforms import host
 from bristle.model.compiler import SUFFIX
 
 HERE = Path(__file__).parent
@@ -52,7 +52,7 @@ class Built:
     def info(self) -> dict[str, Any]:
         """What `Raw` needs to know."""
         name = self.description.coSimulation.modelIdentifier
-        library = self.folder / "binaries" / platform_folder(self.fmi) / f"{name}{SUFFIX}"
+        library = self.folder / "binaries" / host().folder(self.fmi) / f"{name}{SUFFIX}"
         vr = {v.name: v.valueReference for v in self.description.modelVariables}
         return {"library": str(library), "fmi": self.fmi, "token": self.description.guid, "vr": vr}
 

@@ -13,8 +13,9 @@ import pytest
 
 from bristle.common.errors import BristleError
 from bristle.fmus import build, obtain
-from bristle.fmus.native import FMI_HEADERS, platform_folder
+from bristle.fmus.native import FMI_HEADERS
 from bristle.fmus.pack import write_archive
+from bristle.fmus.platforms import host
 from bristle.model.compiler import find_compiler
 
 NATIVE = [("plant", 2), ("plant", 3), ("controller", 2), ("observer", 3)]
@@ -55,7 +56,7 @@ def test_archive(built, what, fmi):
             assert not entry.filename.startswith("/")
             assert "\\" not in entry.filename
     name = fmu.description.coSimulation.modelIdentifier
-    assert f"binaries/{platform_folder(fmi)}/{name}.so" in names or sys.platform != "linux"
+    assert f"binaries/{host().folder(fmi)}/{name}.so" in names or sys.platform != "linux"
     assert {"modelDescription.xml", "documentation/index.html", "documentation/licenses/license.txt"} <= set(names)
     assert {f"sources/{header}" for header in FMI_HEADERS[fmi]} <= set(names)
 
