@@ -40,6 +40,12 @@ def path_of(given: str | Path) -> Path:
 
 KindOption = Annotated[Kind, typer.Option(help="native: compiled; python: for hosts that run in Python")]
 FmiOption = Annotated[Fmi, typer.Option(help="version of FMI")]
+TimeoutOption = Annotated[
+    float | None,
+    typer.Option(
+        help="seconds that a simulation of an FMU from elsewhere may take; else a minute for a call", min=0.001, metavar="S"
+    ),
+]
 DebugOption = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
 
 

@@ -223,7 +223,7 @@ def _behaviour(first: Fmu, second: Fmu) -> Iterator[Difference]:
     for fmu in (first, second):
         task = _Experiment(fmu, h, steps, moved, tuple(common))
         try:
-            runs.append(isolated(_simulated, task, [fmu.path]))
+            runs.append(isolated(_simulated, task, [fmu.path], np.asarray))
         except BristleError as error:
             if fmu is first:
                 raise

@@ -17,11 +17,13 @@ from typing import Any
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.units import interval, parse_unit, quantity
+from bristle.fmus.calls import WATCH, Call
 
 Value = float | int | bool | str
 Written = Callable[[str], tuple[str, float]]
 
 MAX_UNPACKED = 1 << 30  # bytes an FMU may unpack to
+MAX_ENTRIES = 20_000  # files in an FMU
 MAX_RATIO, RATIO_FROM = 100, 1 << 26  # largest ratio of unpacked to packed size, checked from 64 MiB on (archive bombs)
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # FMI: a modelIdentifier is a C identifier
 
@@ -57,13 +59,20 @@ class Fmu:
 
     def _check_archive(self) -> None:
         try:
+            if not self.path.is_file() and self.path.exists():  # a pipe would be read for ever
+                raise BristleError(f"FMU {self.path}: is not a file; give an .fmu file")
             packed = self.path.stat().st_size
             with zipfile.ZipFile(self.path) as archive:
-                unpacked = sum(entry.file_size for entry in archive.infolist())
+                entries = archive.infolist()
+            unpacked = sum(entry.file_size for entry in entries)
         except OSError as error:
             raise BristleError(f"FMU {self.path}: {error.strerror}; check the path") from None
         except zipfile.BadZipFile:
             raise BristleError(f"FMU {self.path}: not a zip archive; give an .fmu file") from None
+        if len(entries) > MAX_ENTRIES:
+            raise BristleError(
+                f"FMU {self.path}: holds {len(entries)} files; allowed are {MAX_ENTRIES}: pack the resources it needs"
+            )
         if unpacked > MAX_UNPACKED or (unpacked > RATIO_FROM and unpacked > MAX_RATIO * packed):
             raise BristleError(
                 f"FMU {self.path}: {packed} bytes unpack to {unpacked}; allowed are {MAX_UNPACKED} bytes and, "
@@ -275,10 +284,14 @@ class Slave:
                 raise BristleError(f"FMU {self.fmu.path}: no binary for this machine ({binaries}); export one for it")
             Path(self._folder, "resources").mkdir(exist_ok=True)
             if self.fmu.fmi == 2:
+                WATCH.begin(self.fmu.path, Call.load)
                 self.instance = fmi2.FMU2Slave(**arguments)
+                WATCH.begin(self.fmu.path, Call.instantiate)
                 self.instance.instantiate(callbacks=_callbacks2(), loggingOn=not self.fmu.foreign)
             else:
+                WATCH.begin(self.fmu.path, Call.load)
                 self.instance = fmi3.FMU3Slave(libraryPath=self._library(binaries), **arguments)
+                WATCH.begin(self.fmu.path, Call.instantiate)
                 self.instance.instantiate(logMessage=_log3, loggingOn=not self.fmu.foreign)
         except BristleError:
             raise
@@ -304,10 +317,12 @@ class Slave:
         """Free the instance and the library, remove the unpacked files."""
         if self.instance is not None:
             loaded, self.instance = self.instance, None
+            WATCH.begin(self.fmu.path, Call.free)
             if loaded.component:
                 loaded.freeInstance()
             else:
                 loaded.freeLibrary()
+            WATCH.end()
         self._temporary.cleanup()
 
     def __enter__(self) -> Slave:
@@ -341,6 +356,7 @@ class Slave:
         """Set start values and go through initialisation at a start time [s]."""
         instance = self.instance
         _messages.clear()
+        WATCH.begin(self.fmu.path, Call.initialise)
         try:
             for name, value in values.items():
                 self.set_value(name, value)
@@ -350,6 +366,7 @@ class Slave:
             else:
                 instance.enterInitializationMode(startTime=time)
             instance.exitInitializationMode()
+            WATCH.end()
         except Exception as error:
             raise BristleError(
                 f"{self.name} ({self.fmu.path.name}): initialisation refused: {self._why(error)}; check its parameters"

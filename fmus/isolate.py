@@ -1,9 +1,12 @@
-"""Run a function in a child process, for FMUs from elsewhere: if one crashes, only the child process ends."""
+"""Run a function in a process of its own, for FMUs from elsewhere: whatever one does there, this process goes on.
+
+The child process has a time limit, a limit on memory, on the size of a file and on what is kept of its output; all that it starts
+ends with it; and it answers in plain numbers and text (`answer`).
+"""
 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import pickle
 import signal
@@ -14,41 +17,48 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.fmus.answer import NOT_ASKED, read_answer
+from bristle.fmus.calls import CONTROL_SIZE, Call, Control
 
-POLL_INTERVAL = 0.05  # s between two checks of the child process
+POLL_INTERVAL = 0.05  # s between two looks at the child process
+LONGEST_CALL = 60.0  # s that one call may take where no time is given
+GRACE = 8.0  # s in which the child process ends what it has started
+KEPT_OUTPUT = 4096  # bytes of its output that are kept, the last ones
 
-Control = NDArray[np.int64]
 Argument = TypeVar("Argument")
 Answer = TypeVar("Answer")
 
 
 def isolated(
-    work: Callable[[Argument, Control], Answer],
+    work: Callable[[Argument, Control], Any],
     argument: Argument,
     fmus: Sequence[Path],
+    read: Callable[[Any], Answer],
     progress: Callable[[int], None] | None = None,
     timeout: float | None = None,
 ) -> Answer:
-    """Return work(argument, control), done in a child process.
+    """Return read(work(argument, control)), where `work` is done in a child process.
 
     Parameters
     ----------
     work : function of a module
-        `control`, shape (2,), is shared memory: [0] counts finished items, for `progress`.
-    argument, returned value
+        `control`, shape (CONTROL_SIZE,), is shared memory: [0] counts finished items, for `progress` and as a sign of life.
+        Its answer is as of `write_answer`.
+    argument : object
         Whatever can be pickled.
     fmus : sequence of Path
-        The FMUs that take part; all are named in an error, since it is not known which one crashed.
+        The FMUs that take part; an error names the one whose call was under way.
+    read : function
+        Makes of the answer what is returned; an answer that it cannot read is an error of the FMUs.
     progress : function, optional
         Called now and then with the number of finished items.
     timeout : float, optional
-        Seconds after which the child process is ended.
+        Seconds after which the child process is ended; without it, it is ended when one call takes `LONGEST_CALL`.
 
     Raises
     ------
@@ -57,92 +67,133 @@ def isolated(
     """
     with tempfile.TemporaryDirectory(prefix="bristle-run-", ignore_cleanup_errors=True) as folder:
         place = Path(folder)
-        (place / "work.pkl").write_bytes(pickle.dumps((work, argument, fmus)))
-        control = np.memmap(place / "control", dtype=np.int64, mode="w+", shape=(2,))
-        with (place / "log").open("wb") as log:
-            child = subprocess.Popen(  # -P: do not import from the working directory
-                [sys.executable, "-P", "-m", "bristle.fmus.isolate", folder], stdin=subprocess.PIPE, stdout=log, stderr=log,
-                env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
-            )  # fmt: skip
-            try:
-                if not _wait(child, control, progress, timeout):
-                    advice = "give it longer with --timeout, or replace the FMU if it hangs"
-                    raise BristleError(f"FMU {_names(fmus)}: the simulation took longer than {timeout:g} s; {advice}")
-            finally:
-                _end(child)
-        written = place / "answer.pkl"
-        if not written.exists():
-            raise BristleError(_crash_message(fmus, child.returncode, place / "log"))
-        done, answer = pickle.loads(written.read_bytes())
-    if not done:
-        raise BristleError(answer)
-    result: Answer = answer
-    return result
-
-
-def _wait(child: subprocess.Popen[bytes], control: Control, progress: Callable[[int], None] | None, timeout: float | None) -> bool:
-    """Wait until the child process ends; return False if it does not in time."""
-    end = math.inf if timeout is None else time.monotonic() + timeout
-    while time.monotonic() < end:
+        (place / "work.pkl").write_bytes(pickle.dumps((work, argument, list(fmus))))
+        control = np.memmap(place / "control", dtype=np.int64, mode="w+", shape=(CONTROL_SIZE,))
+        control[3] = -1
+        child = _start(folder)
+        output = _Output(child.stdout)
         try:
+            late = _wait(child, control, progress, timeout)
+            if late is not None:
+                raise BristleError(_late_message(fmus, control, late, timeout))
+        finally:
+            _end(child)
+            output.finish()
+        answer = _read(place / "answer", fmus, control)
+        if answer is None:
+            raise BristleError(_crash_message(fmus, control, child.returncode, output.last_line()))
+    if "error" in answer:
+        raise BristleError(str(answer["error"]))
+    if "plain" in answer:
+        raise BristleError(f"{_name(fmus, control)}: {answer['plain']}; check the FMU and its parameters")
+    try:
+        return read(answer["done"])
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError):
+        raise BristleError(f"{_name(fmus, control)}: {NOT_ASKED}; do not trust this FMU") from None
+
+
+def _read(path: Path, fmus: Sequence[Path], control: Control) -> dict[str, Any] | None:
+    try:
+        answer = read_answer(path)
+    except BristleError as error:
+        raise BristleError(f"{_name(fmus, control)}: {error}; do not trust this FMU") from None
+    return answer if answer is None or isinstance(answer, dict) else {}
+
+
+def _start(folder: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(  # -P: do not import from the working directory
+        [sys.executable, "-P", "-m", "bristle.fmus.supervisor", folder],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
+    )  # fmt: skip
+
+
+class _Output:
+    """Reads what a process writes, so that it never waits, and keeps the end of it."""
+
+    def __init__(self, pipe: IO[bytes] | None) -> None:
+        assert pipe is not None
+        self._pipe, self._kept = pipe, b""
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            while part := os.read(self._pipe.fileno(), 1 << 16):
+                self._kept = (self._kept + part)[-KEPT_OUTPUT:]
+
+    def finish(self) -> None:
+        """Stop reading."""
+        self._thread.join(1.0)
+        if not self._thread.is_alive():
+            self._pipe.close()
+
+    def last_line(self) -> str:
+        """Return the last line that was written."""
+        lines = self._kept.decode("utf-8", "replace").strip().splitlines()
+        return lines[-1][:200] if lines else ""
+
+
+def _wait(
+    child: subprocess.Popen[bytes], control: Control, progress: Callable[[int], None] | None, timeout: float | None
+) -> float | None:
+    """Wait until the child process ends; return the limit [s] that it ran into, or None."""
+    begun = alive = time.monotonic()
+    seen = control.tolist()
+    while True:
+        with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(POLL_INTERVAL)
-            return True
-        except subprocess.TimeoutExpired:
-            if progress:
-                progress(int(control[0]))
-    return False
+            return None
+        now, state = time.monotonic(), control.tolist()
+        if state != seen:
+            alive, seen = now, state
+        limit, since = (LONGEST_CALL, alive) if timeout is None else (timeout, begun)
+        if now - since > limit:
+            return limit
+        if progress:
+            progress(int(control[0]))
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
+    """Let the child process end what it has started, and end it."""
+    if child.stdin:
+        with contextlib.suppress(OSError):
+            child.stdin.close()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(GRACE)
+    with contextlib.suppress(OSError, AttributeError):
+        os.killpg(child.pid, signal.SIGKILL)
     if child.poll() is None:
         child.kill()
     child.wait()
-    if child.stdin:
-        child.stdin.close()
 
 
-def _names(fmus: Sequence[Path]) -> str:
-    return ", ".join(map(str, fmus))
+def _name(fmus: Sequence[Path], control: Control) -> str:
+    """Name the FMU whose call is under way, else all."""
+    place = int(control[3])
+    return f"FMU {fmus[place] if 0 <= place < len(fmus) else ', '.join(map(str, fmus))}"
 
 
-def _crash_message(fmus: Sequence[Path], code: int, log: Path) -> str:
+def _under_way(control: Control) -> str:
+    calls = {Call.load: "loading it", Call.instantiate: "instantiating it", Call.initialise: "initialising it"}
+    calls |= {Call.step: f"its step {int(control[0]) + 1}", Call.free: "freeing it"}
+    return calls.get(int(control[2]), "")  # type: ignore[call-overload, no-any-return]
+
+
+def _late_message(fmus: Sequence[Path], control: Control, limit: float, timeout: float | None) -> str:
+    during = f" ({_under_way(control)})" if _under_way(control) else ""
+    what = f"the simulation took longer than {limit:g} s{during}" if timeout else f"did not answer for {limit:g} s{during}"
+    return f"{_name(fmus, control)}: {what}; give it longer with --timeout, or replace the FMU if it hangs"
+
+
+def _crash_message(fmus: Sequence[Path], control: Control, code: int, said: str) -> str:
     try:
         cause = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
     except ValueError:
         cause = f"exit code {code}"
-    lines = log.read_text(errors="replace").strip().splitlines()
-    last = f": {lines[-1][:200]}" if lines and code > 0 else ""
+    during = f" during {_under_way(control)}" if _under_way(control) else ""
+    last = f": {said}" if said and code > 0 else ""
     return (
-        f"FMU {_names(fmus)}: crashed the simulation ({cause}{last}); "
+        f"{_name(fmus, control)}: crashed the simulation{during} ({cause}{last}); "
         "the fault is inside that FMU: replace it or report it to its maker"
     )
-
-
-def _child(folder: str) -> None:
-    """Do the work in the child process; end at once if the parent process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles interrupts
-    threading.Thread(target=_watch_parent, daemon=True).start()
-    place = Path(folder)
-    work, argument, fmus = pickle.loads((place / "work.pkl").read_bytes())
-    control = np.memmap(place / "control", dtype=np.int64, mode="r+", shape=(2,))
-    outcome: tuple[bool, Any]
-    try:
-        outcome = True, work(argument, control)
-    except BristleError as error:
-        outcome = False, str(error)
-    except Exception as error:  # FMPy raises plain exceptions if an FMU returns an error status
-        reason = " ".join(str(error).split()) or type(error).__name__
-        outcome = False, f"FMU {_names(fmus)}: {reason}; check the FMU and its parameters"
-    fresh = place / "answer.tmp"
-    fresh.write_bytes(pickle.dumps(outcome))
-    os.replace(fresh, place / "answer.pkl")
-
-
-def _watch_parent() -> None:
-    with contextlib.suppress(OSError):
-        sys.stdin.buffer.read()
-    os._exit(1)
-
-
-if __name__ == "__main__":
-    _child(sys.argv[1])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError, RestartError
+from bristle.fmus.calls import WATCH, Call, Control
 from bristle.fmus.host import Fmu, Slave
 from bristle.fmus.isolate import isolated
 
@@ -75,10 +76,18 @@ def replay_segments(task: Replay, progress: Callable[[int], None] | None = None,
     BristleError
         If it crashes, takes too long or refuses a step.
     """
-    answer = isolated(_segments, task, [task.fmu.path], progress, timeout)
+    answer = isolated(_segments, task, [task.fmu.path], _replayed, progress, timeout)
     if isinstance(answer, str):
         raise RestartError(answer)
     return answer
+
+
+def _replayed(answer: Any) -> ReplayResult | str:
+    return str(answer["reason"]) if "reason" in answer else ReplayResult(tuple(map(_series, answer["outputs"])), str(answer["way"]))
+
+
+def _series(answer: Any) -> Array:
+    return np.asarray(answer, dtype=float)
 
 
 def replay_records(task: Replay, timeout: float | None = None) -> ReplayResult:
@@ -87,13 +96,13 @@ def replay_records(task: Replay, timeout: float | None = None) -> ReplayResult:
     Errors are those of `replay_segments`.
     """
     paths = [task.fmu.path]
-    return ReplayResult(tuple(isolated(_whole, (task, segment), paths, None, timeout) for segment in task.segments), "")
+    return ReplayResult(tuple(isolated(_whole, (task, segment), paths, _series, None, timeout) for segment in task.segments), "")
 
 
 # -- in the child process ----------------------------------------------------------------------------------------------------
 
 
-def _segments(task: Replay, control: NDArray[np.int64]) -> ReplayResult | str:
+def _segments(task: Replay, control: Control) -> dict[str, Any]:
     player = _Replayer(task)
     try:
         player.choose_restart()
@@ -102,14 +111,14 @@ def _segments(task: Replay, control: NDArray[np.int64]) -> ReplayResult | str:
             player.begin(segment.time, segment.start)
             outputs.append(player.run(segment))
             control[0] = k + 1
-        return ReplayResult(tuple(outputs), RESTART_WAYS[player.way])
+        return {"outputs": outputs, "way": RESTART_WAYS[player.way]}
     except RestartError as error:
-        return str(error)
+        return {"reason": str(error)}
     finally:
         player.close()
 
 
-def _whole(work: tuple[Replay, ReplaySegment], control: NDArray[np.int64]) -> Array:
+def _whole(work: tuple[Replay, ReplaySegment], control: Control) -> Array:
     task, segment = work
     player = _Replayer(task)
     try:
@@ -180,6 +189,7 @@ class _Replayer:
         put = instance.setFloat64 if three else instance.setReal
         for k, u in enumerate(segment.u[:n].tolist()):
             time = segment.time + k * h
+            WATCH.begin(self.task.fmu.path, Call.step)
             try:
                 put(self._in, [u])
                 ended = instance.doStep(time, h)

@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+from functools import partial
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
+from bristle.fmus.calls import Control
 from bristle.fmus.isolate import isolated
-from bristle.harness.loop import Bus, Progress, Trace, simulate
+from bristle.harness.loop import Bus, Failure, Progress, Trace, default_engine, simulate
 
 
-def simulate_isolated(bus: Bus, progress: Progress | None = None, *, engine: str | None = None) -> Trace:
-    """Run a bus in a child process.
+def simulate_isolated(
+    bus: Bus, progress: Progress | None = None, *, engine: str | None = None, timeout: float | None = None
+) -> Trace:
+    """Run a bus in a child process, which may take `timeout` seconds.
 
     Raises
     ------
     BristleError
-        If the child dies (which FMU is not known, hence all foreign ones are named) or refuses the bus.
+        If the child dies, takes too long or refuses the bus; the FMU whose call was under way is named.
     """
-    foreign = [instance.fmu.path for instance in bus.instances if instance.fmu.foreign]
-    return isolated(_simulate, (bus, engine), foreign, progress)
+    engine = engine or default_engine()
+    return isolated(_simulate, (bus, engine), [each.fmu.path for each in bus.instances], partial(_trace, bus), progress, timeout)
 
 
-def _simulate(asked: tuple[Bus, str | None], control: NDArray[np.int64]) -> Trace:
+def _simulate(asked: tuple[Bus, str], control: Control) -> dict[str, Any]:
     bus, engine = asked
-    return simulate(bus, engine=engine, control=control)
+    trace = simulate(bus, engine=engine, control=control)
+    rows, flags = zip(*trace.flags, strict=True)
+    return {
+        "values": trace.values,
+        "rows": list(rows),
+        "flags": np.array([[found[port] for port in bus.flags] for found in flags], dtype=float),
+        "failure": None if trace.failure is None else astuple(trace.failure),
+    }
+
+
+def _trace(bus: Bus, answer: Any) -> Trace:
+    """Return the trace of which `_simulate` answered the parts."""
+    values, flags = np.asarray(answer["values"], dtype=float), np.asarray(answer["flags"], dtype=float)
+    rows = [int(row) for row in answer["rows"]]
+    if values.ndim != 2 or values.shape[1] != len(bus.record) or not 1 <= len(values) <= bus.steps + 1:
+        raise ValueError(values.shape)
+    found = [(row, dict(zip(bus.flags, each.tolist(), strict=True))) for row, each in zip(rows, flags, strict=True)]
+    failure = answer["failure"]
+    if failure is not None:
+        failure = Failure(str(failure[0]), float(failure[1]), str(failure[2]))
+    return Trace(bus.record, values, bus.h, found, failure)

@@ -42,11 +42,11 @@ typedef struct {
     const double *series;
     const double *const *taps;      /* row k of record is the bus at the start of step k */
     double *record;
-    volatile long long *control;    /* [0] steps done, [1] not 0: stop */
+    volatile long long *control;    /* [0] steps done, [1] not 0: stop, [3] unit at work */
     long long next_event;
     long long n_units, n_links, n_events, n_series, n_taps;
     double h;
-    long long failed_unit, failed_status;
+    long long failed_unit, failed_status, failed_call;
 } Master;
 
 enum { OK = 0, WARNING = 1, ERROR = 3 }; /* of both FMI 2 and FMI 3 */
@@ -111,6 +111,7 @@ EXPORT int loop_start(Master *m)
         const int status = unit_get(&m->units[i], m->units[i].out);
         if (status > WARNING) {
             m->failed_unit = i;
+            m->failed_call = 2;
             return m->failed_status = status, status;
         }
     }
@@ -129,12 +130,15 @@ EXPORT long long loop_run(Master *m, long long first, long long count)
         for (long long i = 0; i < m->n_links; i++) *m->links[i].to = *m->links[i].from;
         for (long long i = 0; i < m->n_units; i++) {
             const Unit *u = &m->units[i];
+            long long call = 0; /* inputs, step, outputs */
+            m->control[3] = i;
             int status = unit_set(u);
-            if (status <= WARNING) status = unit_step(u, (double)k * m->h, m->h);
-            if (status <= WARNING) status = unit_get(u, u->out);
+            if (status <= WARNING) call = 1, status = unit_step(u, (double)k * m->h, m->h);
+            if (status <= WARNING) call = 2, status = unit_get(u, u->out);
             if (status > WARNING) {
                 m->failed_unit = i;
                 m->failed_status = status;
+                m->failed_call = call;
                 return k - first;
             }
         }

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bristle.common.cache import cached, digest
 from bristle.common.errors import BristleError
+from bristle.fmus.calls import CONTROL_SIZE, WATCH, Call
 from bristle.fmus.host import Fmu, Slave, Value
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 
@@ -28,6 +29,8 @@ Progress = Callable[[int], None]
 
 CHUNK = 5_000  # steps between two looks at the keyboard and at the flags, at most
 LOOKS = 200  # such looks in a run, at least
+STATUS = {2: "Discard", 3: "Error", 4: "Fatal", 5: "Pending"}  # of FMI; 0 and 1 are no failures
+CALLED = ("setting its inputs", "doStep", "reading its outputs")
 HUGE = 1e9  # an estimate beyond this has diverged
 
 
@@ -145,7 +148,7 @@ class _Master(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("units", "links", "events", "series_to", "series", "taps", "record", "control")),
         *((name, ctypes.c_longlong) for name in ("next_event", "n_units", "n_links", "n_events", "n_series", "n_taps")),
         ("h", ctypes.c_double),
-        ("failed_unit", ctypes.c_longlong), ("failed_status", ctypes.c_longlong),
+        *((name, ctypes.c_longlong) for name in ("failed_unit", "failed_status", "failed_call")),
     ]  # fmt: skip
 
 
@@ -242,7 +245,7 @@ class Session:
 
     def __init__(self, bus: Bus, control: NDArray[np.int64] | None = None) -> None:
         self.bus, self._stack = bus, ExitStack()
-        self.control = np.zeros(2, dtype=np.int64) if control is None else control
+        self.control = np.zeros(CONTROL_SIZE, dtype=np.int64) if control is None else control
         try:
             self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
             self.values = np.empty((bus.steps + 1, len(bus.record)))
@@ -292,22 +295,25 @@ class Session:
         master = _Master(
             ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
             _pointer(taps), _pointer(self.values), _pointer(self.control),
-            0, len(units), len(links), len(events), len(series_to), len(taps), bus.h, -1, 0,
+            0, len(units), len(links), len(events), len(series_to), len(taps), bus.h, -1, 0, 0,
         )  # fmt: skip
         lib.loop_start(ctypes.byref(master))
         done = 0
         while done < bus.steps and master.failed_unit < 0 and not self.control[1]:
             count = min(bus.chunk, bus.steps - done)
+            self.control[2] = Call.step
             new = lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
             early = self._diverged(done + 1, done + new + 1)
             if early is not None:
                 return self._trace(early.time, early)
             done += new
             self._pause(done, progress, master.failed_unit < 0)
+        self.control[2] = Call.none
         if master.failed_unit < 0:
             return self._trace(done * bus.h)
-        unit = names[master.failed_unit]
-        return self._trace(done * bus.h, Failure(unit, done * bus.h, self.nodes[unit].slave.last_message()))
+        status = STATUS.get(master.failed_status, str(master.failed_status))
+        why = f"{CALLED[master.failed_call]} returned {status}"
+        return self._trace(done * bus.h, self._blame(names[master.failed_unit], done * bus.h, why))
 
     # -- FMPy's calls ------------------------------------------------------------------------------------------------
 
@@ -330,12 +336,11 @@ class Session:
             for source, to in bus.links:
                 places[to][0][places[to][1]] = places[source][0][places[source][1]]
             for unit, node in nodes.items():
+                WATCH.begin(node.slave.fmu.path, Call.step)
                 try:
                     node.step(k * bus.h, bus.h)
                 except Exception as error:  # FMPy raises plain exceptions of several kinds
-                    message = node.slave.last_message()
-                    why = str(error) if message == "no message" else message
-                    return self._trace(k * bus.h, Failure(unit, k * bus.h, why))
+                    return self._trace(k * bus.h, self._blame(unit, k * bus.h, " ".join(str(error).split())))
             k += 1
             self._write_row(k, places)
             self.control[0] = k
@@ -352,6 +357,15 @@ class Session:
             self.values[k, i] = array[index]
 
     # -- the end -----------------------------------------------------------------------------------------------------
+
+    def _blame(self, unit: str, time: float, why: str) -> Failure:
+        """Return why a unit failed: what it said, or the unit that gave it a number which is none."""
+        for (source, name), (to, variable) in self.bus.links:
+            array, index = self.nodes[to].place(variable)
+            if to == unit and not np.isfinite(array[index]):
+                return Failure(source, time, f"its output {name} is {array[index]}, which {unit} refused")
+        said = self.nodes[unit].slave.last_message()
+        return Failure(unit, time, why if said == "no message" else f"{why}: {said}")
 
     def _diverged(self, first: int, last: int) -> Failure | None:
         """Look for an estimate beyond all bounds in rows first .. last - 1."""
@@ -389,12 +403,16 @@ def simulate(
         Called with the number of steps done.
     engine : str, optional
         ``native`` for the compiled loop, ``fmpy`` for FMPy's calls; by default compiled if there is a compiler.
-    control : ndarray of int64, shape (2,), optional
-        Shared memory: [0] counts the steps done, [1] not 0 stops the run.
+    control : ndarray of int64, shape (CONTROL_SIZE,), optional
+        Shared memory: [0] counts the steps done, [1] not 0 stops the run, [2] and [3] tell which call is under way.
     """
-    engine = engine or ("native" if native_available() else "fmpy")
     with Session(bus, control) as session:
-        return session.run(progress) if engine == "native" else session.run_fmpy(progress)
+        return session.run(progress) if (engine or default_engine()) == "native" else session.run_fmpy(progress)
+
+
+def default_engine() -> str:
+    """Return ``native`` where the compiled loop can be had, else ``fmpy``."""
+    return "native" if native_available() else "fmpy"
 
 
 class Drive:

@@ -49,6 +49,12 @@ class Setup:
     samples: Samples | None
     h: float
     stimuli: tuple[Signal, ...] = ()
+    timeout: float | None = None  # s that a simulation may take where an FMU comes from elsewhere
+
+    @property
+    def foreign(self) -> list[str]:
+        """The units whose FMU comes from elsewhere."""
+        return [name for name, fmu in self.fmus.items() if fmu.foreign]
 
     @property
     def scenario(self) -> Scenario:

@@ -8,7 +8,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -53,6 +53,7 @@ class Options:
     overrides: Sequence[str] = ()
     seed: int | None = None
     full: bool = False
+    timeout: float | None = None  # s that a simulation may take where an FMU comes from elsewhere
 
 
 @dataclass
@@ -110,7 +111,7 @@ def check(path: Path, out: Path, options: Options | None = None, progress: Progr
         results.refuse_strange(out / loaded.name)
         with clock.stage("FMUs (built only if new)"):
             tell("building FMUs", 0, 0)
-            setup = prepare(loaded, find_fmus(loaded, options.fmi, options.kind))
+            setup = replace(prepare(loaded, find_fmus(loaded, options.fmi, options.kind)), timeout=options.timeout)
             lean = {}
             if setup.scenario.validation is not None:
                 lean = lean_fmus()
@@ -163,7 +164,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     """Run a scenario that is checked, and judge it."""
     setup, clock, tell = checked.setup, checked.clock, progress or _no_progress
     with clock.stage("co-simulation"):
-        trace = _simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps))
+        trace = _simulate(checked.bus, setup.timeout, lambda done: tell("co-simulation", done, setup.steps))
     with clock.stage("metrics"):
         view = View(setup, trace)
         result = _measure(setup, trace, view) | {"provenance": _provenance(checked)}
@@ -177,7 +178,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
             tell("validation and fits", 0, 0)
             validated = _validate(setup, result, view, checked.lean)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
-    findings = (*(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
+    findings = (*_trusted(setup), *(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
     return Outcome(result, view, validated, findings, followed)
 
 
@@ -203,8 +204,13 @@ def _load_drawing() -> None:
     import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
 
 
-def _simulate(bus: Bus, progress: Callable[[int], None] | None = None) -> Trace:
-    return simulate_isolated(bus, progress) if bus.risky else simulate(bus, progress)
+def _trusted(setup: Setup) -> list[str]:
+    files = " and ".join(setup.fmus[name].path.name for name in setup.foreign)
+    return [f"{files}: code from elsewhere, which ran with your rights: use only FMUs that you trust"] if files else []
+
+
+def _simulate(bus: Bus, timeout: float | None, progress: Callable[[int], None] | None = None) -> Trace:
+    return simulate_isolated(bus, progress, timeout=timeout) if bus.risky else simulate(bus, progress)
 
 
 class View:
@@ -309,7 +315,7 @@ def _validate(setup: Setup, result: Mapping[str, Any], view: View, fmus: Mapping
 
 def _second_run(setup: Setup, bus: Bus, key: str) -> Trace:
     """Run a bus that must run to its end; `key` is what asks for it in the scenario file."""
-    second = _simulate(bus)
+    second = _simulate(bus, setup.timeout)
     if second.failure is not None:
         failure = second.failure
         what = f"the second run ended at {failure.time:g} s: {failure.unit}: {failure.message}"

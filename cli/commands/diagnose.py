@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.cli.app import DebugOption, Fmi, app, path_of
+from bristle.cli.app import DebugOption, Fmi, TimeoutOption, app, path_of
 from bristle.cli.files import DataCommand, files_of
 from bristle.cli.terminal import command_line, fraction
 from bristle.common.errors import BristleError, IncompleteError
@@ -41,6 +41,7 @@ def diagnose(
     jobs: Annotated[int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")] = 0,
     budget: Annotated[str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")] = None,
     fmi: Annotated[Fmi, typer.Option(help="version of FMI of what is written")] = Fmi.two,
+    timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
     """Find where a model and measured records disagree, name the missing effect, and write the model with it."""
@@ -55,7 +56,7 @@ def diagnose(
     options = search_options(jobs, budget)
     check_places(out, [path for path in (model, fmu, *data) if path is not None])
     with output_folder(out), fraction("diagnose") as tell:
-        found = _diagnosed(model, fmu, data, tell, options)
+        found = _diagnosed(model, fmu, data, tell, options, timeout)
         tell("writing", 1.0)
         problem = None
         try:
@@ -96,7 +97,12 @@ def search_options(jobs: int, budget: str | None) -> SearchOptions:
 
 
 def _diagnosed(
-    model: Path | None, fmu: Path | None, data: Sequence[Path], tell: Callable[[str, float], None], options: SearchOptions
+    model: Path | None,
+    fmu: Path | None,
+    data: Sequence[Path],
+    tell: Callable[[str, float], None],
+    options: SearchOptions,
+    timeout: float | None,
 ) -> Diagnosis:
     """Read and diagnose a model or an FMU."""
     from bristle import diagnosis
@@ -104,7 +110,8 @@ def _diagnosed(
     tell("reading", 0.0)
     if fmu is not None:
         known = diagnosis.load_model(model) if model is not None else diagnosis.fmu_model(fmu)
-        return diagnosis.diagnose_fmu(fmu, known, diagnosis.load_records(known, data), progress=tell, options=options)
+        records = diagnosis.load_records(known, data)
+        return diagnosis.diagnose_fmu(fmu, known, records, progress=tell, options=options, timeout=timeout)
     assert model is not None
     known = diagnosis.load_model(model)
     return diagnosis.diagnose(known, diagnosis.load_records(known, data), progress=tell, options=options)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, app, path_of
+from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, TimeoutOption, app, path_of
 from bristle.cli.terminal import complain, progress
 from bristle.common.errors import BristleError
 
@@ -25,6 +25,7 @@ def run(
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
     seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
     full: Annotated[bool, typer.Option("--full", help="signals.csv at full rate")] = False,
+    timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
     """Run scenarios and write a result folder for each; none runs before all are checked."""
@@ -32,7 +33,7 @@ def run(
     from bristle.harness.run import Options
 
     _refuse_duplicates(scenarios)
-    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full)
+    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
     with output_folder(out):
         checked = [_checked(path, out, options, debug) for path in scenarios]
         ready = [each for each in checked if each is not None]

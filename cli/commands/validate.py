@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.cli.app import DebugOption, app, path_of
+from bristle.cli.app import DebugOption, TimeoutOption, app, path_of
 from bristle.cli.files import DataCommand, files_of
 from bristle.cli.terminal import command_line, fraction
 from bristle.common.errors import BristleError
@@ -33,7 +33,7 @@ def validate(
         Path | None,
         typer.Option(help="plant FMU to validate; MODEL.toml then gives the columns", metavar="PLANT.fmu", parser=path_of),
     ] = None,
-    timeout: Annotated[float | None, typer.Option(help="seconds that a simulation of an FMU may take", min=0.001)] = None,
+    timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
     """Simulate a model or a plant FMU over whole records in open loop, and say how far it is from what was measured."""

@@ -17,8 +17,11 @@ from bristle.fmus.playback import Replay, ReplayResult, ReplaySegment, replay_re
 FMU_LEAD = 0.04  # s: time before a segment from which the FMU is simulated, so that its hidden states settle
 
 
-def simulate_segments(fmu: Fmu, dataset: Dataset, tell: Progress) -> tuple[Segments, list[str]]:
-    """Return the segments with outputs and initial states of the FMU in place of the measured ones, and a line on how it ran."""
+def simulate_segments(fmu: Fmu, dataset: Dataset, tell: Progress, timeout: float | None = None) -> tuple[Segments, list[str]]:
+    """Return the segments with outputs and initial states of the FMU in place of the measured ones, and a line on how it ran.
+
+    Simulating them may take `timeout` seconds.
+    """
     tell("simulating the FMU", 0.0)
     s = dataset.segments
     outputs = ("v",) if s.velocity else ("theta", "v") if fmu.has("v", "output") and fmu.is_real("v") else ("theta",)
@@ -32,14 +35,14 @@ def simulate_segments(fmu: Fmu, dataset: Dataset, tell: Progress) -> tuple[Segme
         stretches = tuple(_stretches(dataset, lead, begins))
         known = {name: variable for name, variable in begins.items() if name in outputs}
         replay = Replay(fmu, s.h, stretches, outputs, known)
-        played = replay_segments(replay, lambda n: tell("simulating the FMU", 0.05 * n / len(stretches)))
+        played = replay_segments(replay, lambda n: tell("simulating the FMU", 0.05 * n / len(stretches)), timeout)
         return _gathered(s, played, lead), [
             f"{fmu.path.name} was {played.way} for each of {len(stretches)} segments, {lead * s.h:.3g} s before it, with "
             f"{' and '.join(begins.values())} as measured; its other states begin at their start values"
         ]
     except RestartError as error:
         whole = tuple(ReplaySegment(piece.time, piece.u, {}) for piece in s.pieces)
-        played = replay_records(Replay(fmu, s.h, whole, outputs, {}))
+        played = replay_records(Replay(fmu, s.h, whole, outputs, {}), timeout)
         line = f"{fmu.path.name} cannot be restarted at each segment ({error}): whole records were simulated from its start values"
         return _cut(s, played), [line]
 

@@ -37,6 +37,7 @@ def diagnose_fmu(
     records: Sequence[Record],
     progress: Progress | None = None,
     options: SearchOptions | None = None,
+    timeout: float | None = None,
 ) -> answer.Diagnosis:
     """Find where a plant FMU and records disagree, and name what the FMU lacks.
 
@@ -53,6 +54,8 @@ def diagnose_fmu(
         Called with a text and the fraction done.
     options : SearchOptions, optional
         Of the search; its progress is reported to `progress`.
+    timeout : float, optional
+        Seconds that the simulation of the FMU may take.
 
     Returns
     -------
@@ -68,13 +71,15 @@ def diagnose_fmu(
     check_arguments(model, records)
     tell = teller(progress)
     fmu = checked_plant(Fmu(fmu_path, foreign=True), model)
-    return search_prepared(lambda given: _prepared(fmu, model, given, tell), records, tell, options or SearchOptions())
+    return search_prepared(lambda given: _prepared(fmu, model, given, tell, timeout), records, tell, options or SearchOptions())
 
 
-def _prepared(fmu: Fmu, model: Model, records: Sequence[Record], tell: Progress) -> Prepared | answer.Diagnosis:
+def _prepared(
+    fmu: Fmu, model: Model, records: Sequence[Record], tell: Progress, timeout: float | None
+) -> Prepared | answer.Diagnosis:
     """Return a servo fitted to the FMU and then to the records, or a diagnosis where that makes no sense."""
     dataset, said = dataset_of(model, records), check(model, records)
-    segments, lines = simulate_segments(fmu, dataset, tell)
+    segments, lines = simulate_segments(fmu, dataset, tell, timeout)
     lines += unit_lines(fmu, model)
     if said.proposals:
         simulated = replace(dataset, segments=segments)

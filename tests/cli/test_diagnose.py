@@ -37,7 +37,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What the engine was asked; set `case` to what it shall find."""
     seen: dict[str, Any] = {"case": "named", "made": _fabricated()}
 
-    def engine(*arguments: Any, progress: Callable[[str, float], None], options: SearchOptions) -> Any:
+    def engine(
+        *arguments: Any, progress: Callable[[str, float], None], options: SearchOptions, timeout: float | None = None
+    ) -> Any:
         seen["options"] = options
         progress("base fit", 0.1)
         progress("candidates", 0.9)

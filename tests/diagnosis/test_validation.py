@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 import zipfile
 
 import numpy as np
@@ -16,7 +15,6 @@ from bristle.common.provenance import provenance_of
 from bristle.diagnosis import Model, Record, validate, validate_fmu
 from bristle.diagnosis.whole.report import VALIDATION_FILES, render, write_validation
 from bristle.fmus import obtain
-from bristle.fmus.isolate import isolated
 from bristle.model.native import Native
 from bristle.plant.servo import servo_program
 
@@ -109,17 +107,6 @@ def test_an_fmu_without_start_values_is_compared_over_whole_records(records, pla
     for r in found.records:  # it starts at 0, and is moved onto the record
         assert [s for s, _ in r.horizons] == pytest.approx([4.0] if r.name == "run 1" else [2.5])
         assert r.rms < 1e-3
-
-
-def _asleep(seconds, control):
-    time.sleep(seconds)
-
-
-def test_an_fmu_that_hangs_is_ended_in_time(plant):
-    begun = time.monotonic()
-    with pytest.raises(BristleError, match=r"took longer than 0\.5 s; give it longer with --timeout"):
-        isolated(_asleep, 60.0, [plant], None, 0.5)
-    assert time.monotonic() - begun < 20.0
 
 
 def test_the_files_hold_the_result(records, tmp_path):

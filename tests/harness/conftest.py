@@ -31,17 +31,47 @@ max_abs = 1e6
 """
 
 # A plant v' = 6.5 u - 2 v, theta' = v by explicit Euler; FAULT is what happens in doStep.
-TINY = """
+TINY = r"""
+#define _XOPEN_SOURCE 700
+#include <math.h>
+#include <signal.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 #define E __attribute__((visibility("default")))
 typedef struct { double v[8]; } M;
 enum { U = 1, THETA = 2, V = 3, GAIN = 4 };
+/* What is wrong is in the environment, since not all of it can wait for a parameter. */
+static int is(const char *what) { const char *f = getenv("TINY_TROUBLE"); return f && !strcmp(f, what); }
+static void at(const char *what) { while (is(what)) pause(); }
+__attribute__((constructor)) static void loaded(void) { at("load"); }
+static int misstep(double *v)
+{
+    if (is("flood")) for (;;) puts("a line without end");
+    if (is("stop")) raise(SIGSTOP);
+    if (is("orphan")) kill(getppid(), SIGKILL), sleep(600);
+    if (is("daemon") && !fork()) setsid(), signal(SIGTERM, SIG_IGN), close(1), close(2), sleep(600), _exit(0);
+    if (is("memory")) for (size_t n = 1; ; n++) { char *p = malloc(1 << 26); if (!p) return 3; memset(p, 1, 1 << 26); }
+    if (is("nan")) *v = NAN;
+    if (is("discard")) return 2;
+    if (is("fatal")) return 4;
+    if (is("forge") || is("pipe")) {
+        char path[4096];
+        snprintf(path, sizeof path, "%s/answer", getenv("TMPDIR"));
+        if (is("pipe")) { snprintf(path, sizeof path, "mkfifo %s/answer", getenv("TMPDIR")); if (system(path)) return 3; }
+        else { FILE *f = fopen(path, "w"); fputs("cos\nsystem\n(S'touch forged'\ntR.", f); fclose(f); }
+        _exit(0);
+    }
+    at("step");
+    return 0;
+}
 E const char *fmi2GetTypesPlatform(void) { return "default"; }
 E const char *fmi2GetVersion(void) { return "2.0"; }
 E void *fmi2Instantiate(const char *n, int t, const char *g, const char *r, const void *c, int vis, int log)
-{ (void)n; (void)t; (void)g; (void)r; (void)c; (void)vis; (void)log; M *m = calloc(1, sizeof(M)); m->v[GAIN] = 6.5; return m; }
-E void fmi2FreeInstance(void *m) { free(m); }
+{ (void)n; (void)t; (void)g; (void)r; (void)c; (void)vis; (void)log; at("instantiate");
+  M *m = calloc(1, sizeof(M)); m->v[GAIN] = 6.5; return m; }
+E void fmi2FreeInstance(void *m) { at("free"); free(m); }
 E int fmi2SetReal(M *m, const unsigned *vr, size_t n, const double *x)
 { for (size_t i = 0; i < n; i++) m->v[vr[i]] = x[i]; return 0; }
 E int fmi2GetReal(M *m, const unsigned *vr, size_t n, double *x)
@@ -53,7 +83,7 @@ E int fmi2DoStep(M *m, double t, double h, int p)
     m->v[V] += h * (m->v[GAIN] * m->v[U] - 2 * v);
     m->v[THETA] += h * v;
     if (t >= 0.5) { FAULT }
-    return 0;
+    return t >= 0.5 ? misstep(&m->v[V]) : 0;
 }
 """
 XML = """<?xml version="1.0" encoding="UTF-8"?>

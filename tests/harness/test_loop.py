@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bristle.fmus.calls import CONTROL_SIZE
 from bristle.fmus.host import Fmu
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import HUGE, Bus, Drive, Instance, simulate
@@ -65,7 +66,7 @@ def test_a_bus_is_jacobi(tiny_fmu: Maker) -> None:
 def test_progress_and_stop(base: str, scenario_file: Maker) -> None:
     bus = bus_of(scenario_file(base), 2, "native", "duration=12 s")
     seen: list[int] = []
-    control = np.zeros(2, dtype=np.int64)
+    control = np.zeros(CONTROL_SIZE, dtype=np.int64)
 
     def progress(done: int) -> None:
         seen.append(done)
