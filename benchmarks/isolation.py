@@ -8,6 +8,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ def main() -> None:
     for name, duration in (("quick", 20), ("quick", 200), ("self_starting", 200)):
         loaded = load(find_scenario(Path(name)), (f"duration={duration} s",))
         bus = identification(prepare(loaded, find_fmus(loaded)))
-        pairs = [(timed(lambda: simulate(bus)), timed(lambda: simulate_isolated(bus))) for _ in range(PAIRS)]
+        pairs = [(timed(partial(simulate, bus)), timed(partial(simulate_isolated, bus))) for _ in range(PAIRS)]
         own, apart = (statistics.median(pair[k][0] for pair in pairs) for k in (0, 1))
         same = all(np.array_equal(a.values, b.values, equal_nan=True) for (_, a), (_, b) in pairs)
         print(f"| {name} | {duration} | {own:.2f} | {apart:.2f} | {apart / own:.2f} | {'yes' if same else 'no'} |", flush=True)

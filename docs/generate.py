@@ -15,6 +15,7 @@ from schema import key_tables
 from bristle import observer
 from bristle.common.plugins import catalogue_modules
 from bristle.diagnosis.modelfile import ModelTable
+from bristle.fmus.conformance import BEHAVIOUR, POINTS
 from bristle.harness.metrics import CHECK_QUANTITIES
 from bristle.harness.plan import BUS_PORTS, FREE_INPUTS
 from bristle.harness.scenario import Scenario
@@ -225,7 +226,34 @@ def source_keys(shown: Catalogue | None = None) -> str:
     return "\n".join([*ENTRY.findall((ROOT / "references.bib").read_text(encoding="utf-8")), ""])
 
 
+CHECK_HEAD = """# Check an FMU of any maker
+
+    bristle check ANY.fmu --json check.json --junit check.xml
+
+looks at the archive and the description of an FMU and runs it (Co-Simulation of FMI 2 or 3). Each point of behaviour is tested
+in a process of its own and may take 10 s; a crash or a hang is a finding of the point that was under way. What the FMU does not
+claim to do (several instances, storing its state) is "not applicable", what could not be judged is "not tested", and neither
+counts as a pass. The exit code is 1 if a point of severity error or warning failed or could not be tested. An FMU is code, which
+runs with your rights.
+
+What it does not cover: Model Exchange, directional derivatives and declared dependencies, serialised states, split steps,
+threads, the libraries that a binary needs, logging categories. That no point fails does not prove that an FMU is right.
+
+The tests have a good FMU without findings, and for each point an FMU that only this point is made to find.
+"""
+
+
+def check_page(shown: Catalogue | None = None) -> str:
+    """Return docs/check.md."""
+    text = [CHECK_HEAD]
+    for title, points in (("Archive and description", POINTS), ("Behaviour", BEHAVIOUR)):
+        text += [f"## {title}", "", "| point | what is asked | severity |", "|---|---|---|"]
+        text += [f"| `{each.id}` | {each.title} | {each.severity} |" for each in points.values()] + [""]
+    return "\n".join(text)
+
+
 PAGES = {
+    "check.md": check_page,
     "../model/source_keys.txt": source_keys,
     "gallery.md": gallery_page,
     "parameters.md": parameters_page,

@@ -253,13 +253,16 @@ def _log3(_environment: object, status: int, _category: bytes, message: bytes) -
 
 
 class Slave:
-    """A loaded and instantiated FMU; a context manager that frees it and removes what it unpacked."""
+    """A loaded and instantiated FMU; a context manager that frees it and removes what it unpacked.
 
-    def __init__(self, fmu: Fmu, name: str) -> None:
+    `beside`: another instance of the same file, of whose library this is one more; it must be closed after this one.
+    """
+
+    def __init__(self, fmu: Fmu, name: str, beside: Slave | None = None) -> None:
         self.fmu, self.name = fmu, name
         # removed at the interpreter's end even if an interrupt comes before `close` can be called
         self._temporary = tempfile.TemporaryDirectory(prefix="bristle-fmu-", ignore_cleanup_errors=True)
-        self._folder = self._temporary.name
+        self._folder: str = self._temporary.name if beside is None else beside._folder
         self.instance: Any = None
         try:
             self._load()
@@ -279,7 +282,8 @@ class Slave:
             "instanceName": self.name,
         }
         try:
-            extract(str(self.fmu.path), self._folder, lambda name: name.startswith((binaries, "resources/")))
+            if self._folder == self._temporary.name:
+                extract(str(self.fmu.path), self._folder, lambda name: name.startswith((binaries, "resources/")))
             if not list(Path(self._folder).glob(f"{binaries}*")):
                 raise BristleError(f"FMU {self.fmu.path}: no binary for this machine ({binaries}); export one for it")
             Path(self._folder, "resources").mkdir(exist_ok=True)

@@ -164,6 +164,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "diagnose",
         "validate",
         "diff",
+        "check",
     ]
     assert all(line.endswith(".") and not line.endswith("...") for line in listed if line)
 

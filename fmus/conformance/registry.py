@@ -1,0 +1,129 @@
+"""The registry of points, and the function that judges an FMU by all of them."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bristle.common.errors import BristleError
+
+if TYPE_CHECKING:
+    from bristle.fmus.conformance.behaviour import BehaviourPoint
+
+
+class Severity(StrEnum):
+    """How much a finding matters."""
+
+    error = "error"
+    warning = "warning"
+    note = "note"
+
+
+class Verdict(StrEnum):
+    """What came out of a point."""
+
+    passed = "pass"
+    failed = "fail"
+    not_tested = "not tested"
+    not_applicable = "not applicable"
+
+
+@dataclass(frozen=True)
+class Package:
+    """An FMU as an archive: its path, its entries, and the root element of modelDescription.xml (None if it has none)."""
+
+    path: Path
+    entries: tuple[zipfile.ZipInfo, ...]
+    root: Any
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the entries."""
+        return [entry.filename for entry in self.entries]
+
+    @property
+    def identifiers(self) -> list[str]:
+        """The modelIdentifier of each interface type, empty where there is none."""
+        kinds = ("CoSimulation", "ModelExchange", "ScheduledExecution")
+        return [str(each.get("modelIdentifier", "")) for kind in kinds for each in self.root.findall(kind)]
+
+    @property
+    def variables(self) -> list[tuple[Any, Any]]:
+        """For each variable the element with its name, and the one with its type and start (in FMI 3 the same)."""
+        three = str(self.root.get("fmiVersion", "")).startswith("3")
+        found = [v for v in self.root.iterfind("ModelVariables/*") if isinstance(v.tag, str)]
+        return [(v, v if three else v[0]) for v in found if three or len(v)]
+
+
+Judge = Callable[[Package], Iterator[str]]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point: id, title, severity, and the function that gives what it finds in an archive."""
+
+    id: str
+    title: str
+    severity: Severity
+    judge: Judge
+    needs_description: bool
+
+
+@dataclass(frozen=True)
+class Result:
+    """The verdict of a point, with what it found or why it was not tested."""
+
+    point: Point | BehaviourPoint
+    verdict: Verdict
+    findings: tuple[str, ...] = ()
+
+
+POINTS: dict[str, Point] = {}
+
+
+def point(name: str, title: str, severity: Severity = Severity.error, *, description: bool = True) -> Callable[[Judge], Judge]:
+    """Enter a function into the registry; `description`: it reads modelDescription.xml."""
+
+    def enter(judge: Judge) -> Judge:
+        POINTS[name] = Point(name, title, severity, judge, description)
+        return judge
+
+    return enter
+
+
+def static_conformance(path: Path) -> list[Result]:
+    """Return the result of each point for an FMU; it is read, not run.
+
+    Raises
+    ------
+    BristleError
+        If the file cannot be read or is no zip archive.
+    """
+    from lxml import etree
+
+    parser = etree.XMLParser(resolve_entities=False, no_network=True)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = tuple(archive.infolist())
+            known = {entry.filename for entry in entries}
+            text = archive.read("modelDescription.xml") if "modelDescription.xml" in known else None
+        root = None if text is None else etree.fromstring(text, parser)
+    except OSError as error:
+        raise BristleError(f"FMU {path}: {error.strerror}; check the path") from None
+    except zipfile.BadZipFile:
+        raise BristleError(f"FMU {path}: not a zip archive, or a damaged one; give an .fmu file") from None
+    except (etree.XMLSyntaxError, NotImplementedError, RuntimeError):
+        root = None
+    package = Package(path, entries, root)
+    return [_result(each, package) for each in POINTS.values()]
+
+
+def _result(each: Point, package: Package) -> Result:
+    if each.needs_description and package.root is None:
+        return Result(each, Verdict.not_tested, ("modelDescription.xml cannot be read",))
+    findings = tuple(each.judge(package))
+    return Result(each, Verdict.failed if findings else Verdict.passed, findings)
