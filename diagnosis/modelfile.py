@@ -45,6 +45,9 @@ class ModelTable(LayoutTable):
     dry friction may change by a factor of 5 either way."""
     effects: dict[str, dict[str, Given]] = Field(default={})
     """Effects that the model has already, each a table `[effects.NAME]` of its parameters."""
+    variables: dict[str, str | dict[str, str | float]] = Field(default={})
+    """Names of a plant FMU's variables where they are not u, theta and v, by these: `u = "voltage"`, or
+    `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one of its number is worth in that."""
 
 
 # -- the model -----------------------------------------------------------------------------------------------------------
@@ -64,6 +67,8 @@ class Model(Layout):
         Which of these may move, and how far; the others stay.
     effects : dict of str to dict
         Effects that the model has already: values of their parameters, without the effect's name before them.
+    variables : dict of str to str or dict
+        How a plant FMU calls u, theta and v, where it does otherwise, as `bristle.fmus.alias.alias` takes it.
     path : Path or None
         The file it came from.
     """
@@ -72,6 +77,7 @@ class Model(Layout):
     parameters: dict[str, float]
     bounds: dict[str, tuple[float, float]]
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    variables: dict[str, str | dict[str, str | float]] = field(default_factory=dict)
     path: Path | None = None
 
     @property
@@ -235,7 +241,10 @@ def _model(table: ModelTable, where: Path | str) -> Model:
         except BristleError as error:
             raise mistake(where, "effects", None, str(error)) from None
     path = where if isinstance(where, Path) else None
-    return Model(friction=table.friction, parameters=parameters, bounds=bounds, effects=effects, path=path, **vars(layout))
+    return Model(
+        friction=table.friction, parameters=parameters, bounds=bounds, effects=effects, variables=table.variables, path=path,
+        **vars(layout),
+    )  # fmt: skip
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -10,6 +10,7 @@ import re
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -30,6 +31,15 @@ IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # FMI: a modelIdentifier is 
 _REAL, _ENUMERATION, _BOOLEAN = ("Real", "Float64"), ("Enumeration",), ("Boolean",)
 
 
+@dataclass(frozen=True)
+class Alias:
+    """A variable of an FMU under another name: its own name, and how much one of its number is, in the unit of the other name."""
+
+    name: str
+    factor: float = 1.0
+    unit: str | None = None
+
+
 class Fmu:
     """An FMU file and its interface; nothing is unpacked or loaded yet.
 
@@ -39,6 +49,8 @@ class Fmu:
         The file.
     foreign : bool
         Whether it comes from elsewhere: it is then validated, and run in a process of its own.
+    aliases : mapping of str to Alias, optional
+        Names under which variables are known instead of their own; units, limits and values are then those of the alias.
 
     Raises
     ------
@@ -46,16 +58,27 @@ class Fmu:
         If it is not a readable Co-Simulation FMU of FMI 2 or 3, or not safe to unpack.
     """
 
-    def __init__(self, path: Path, foreign: bool = False) -> None:
+    def __init__(self, path: Path, foreign: bool = False, aliases: Mapping[str, Alias] | None = None) -> None:
         if not isinstance(path, str | Path):
             raise BristleError(f"the FMU is a {type(path).__name__}; give the path of an .fmu file")
         self.path, self.foreign = Path(path), foreign
         self._check_archive()
         self.description = self._read()
-        self.variables = {v.name: v for v in self.description.modelVariables}
+        self.aliases = dict(aliases or {})
+        own = {v.name: v for v in self.description.modelVariables}
+        for alias, variable in self.aliases.items():
+            if variable.name not in own:
+                raise BristleError(f"FMU {self.path}: no variable '{variable.name}' for {alias}{suggest(variable.name, list(own))}")
+        taken = {variable.name for variable in self.aliases.values()}
+        self.variables = {name: v for name, v in own.items() if name not in taken}
+        self.variables |= {alias: own[variable.name] for alias, variable in self.aliases.items()}
 
-    def __reduce__(self) -> tuple[type[Fmu], tuple[Path, bool]]:
-        return Fmu, (self.path, self.foreign)
+    def __reduce__(self) -> tuple[type[Fmu], tuple[Path, bool, dict[str, Alias]]]:
+        return Fmu, (self.path, self.foreign, self.aliases)
+
+    def factor(self, name: str) -> float:
+        """Return how much one of the FMU's number is, in the unit of the variable."""
+        return self.aliases[name].factor if name in self.aliases else 1.0
 
     def _check_archive(self) -> None:
         try:
@@ -114,7 +137,7 @@ class Fmu:
 
     def names(self, causality: str) -> list[str]:
         """Return the names of all variables of a causality."""
-        return [v.name for v in self.variables.values() if v.causality == causality]
+        return [name for name, v in self.variables.items() if v.causality == causality]
 
     def has(self, name: str, causality: str) -> bool:
         """Say whether there is such a variable."""
@@ -130,7 +153,9 @@ class Fmu:
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable, ``1`` if it declares none."""
-        variable = self.variables[name]
+        variable, alias = self.variables[name], self.aliases.get(name)
+        if alias is not None and alias.unit is not None:
+            return alias.unit
         return str(variable.unit or (variable.declaredType and variable.declaredType.unit) or "1")
 
     def meaning(self, name: str) -> str:
@@ -150,12 +175,14 @@ class Fmu:
         declared = variable.declaredType
         low = variable.min if variable.min is not None else declared.min if declared else None
         high = variable.max if variable.max is not None else declared.max if declared else None
-        return float(low) if low is not None else -math.inf, float(high) if high is not None else math.inf
+        ends = float(low) if low is not None else -math.inf, float(high) if high is not None else math.inf
+        low, high = sorted(end * self.factor(name) for end in ends)
+        return low, high
 
     def start(self, name: str) -> float:
         """Return the start value of a numeric variable."""
         start = self.variables[name].start
-        return float(start in ("true", "1")) if self.variables[name].type in _BOOLEAN else float(start)
+        return float(start in ("true", "1")) if self.variables[name].type in _BOOLEAN else float(start) * self.factor(name)
 
     def parameter(self, name: str, given: object, known: Sequence[str] = (), written: Written | None = None) -> Value:
         """Check a parameter's value as a user writes it and return it in the FMU's unit.
@@ -343,7 +370,8 @@ class Slave:
         elif kind == "Boolean":
             instance.setBoolean(vr, [value])
         elif kind in _REAL:
-            (instance.setReal if self.fmu.fmi == 2 else instance.setFloat64)(vr, [value])
+            number = float(value) / self.fmu.factor(name)
+            (instance.setReal if self.fmu.fmi == 2 else instance.setFloat64)(vr, [number])
         elif self.fmu.fmi == 2:
             instance.setInteger(vr, [value])
         else:
@@ -354,7 +382,7 @@ class Slave:
         vr, instance = [self.fmu.reference(name)], self.instance
         if self.fmu.variables[name].type == "Boolean":
             return float(instance.getBoolean(vr)[0])
-        return float((instance.getReal if self.fmu.fmi == 2 else instance.getFloat64)(vr)[0])
+        return float((instance.getReal if self.fmu.fmi == 2 else instance.getFloat64)(vr)[0]) * self.fmu.factor(name)
 
     def initialise(self, values: Mapping[str, Value], time: float = 0.0) -> None:
         """Set start values and go through initialisation at a start time [s]."""

@@ -115,7 +115,7 @@ def _compiled(name: str, sources: Mapping[str, str], target: Target) -> bytes:
 def fat(libraries: Mapping[str, bytes]) -> bytes:
     """Return one Mach-O file that holds the libraries of several machines (machine -> library).
 
-    Source: Apple, <mach-o/fat.h>.
+    The layout is that of <mach-o/fat.h> of macOS.
     """
     step = 1 << FAT_ALIGNMENT
     head, body = struct.pack(">II", FAT_MAGIC, len(libraries)), b""

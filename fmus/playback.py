@@ -186,12 +186,12 @@ class _Replayer:
 
     def _steps(self, segment: ReplaySegment, n: int) -> Iterator[list[float]]:
         instance, h, three = self._slave.instance, self.task.h, self.task.fmu.fmi == 3
-        put = instance.setFloat64 if three else instance.setReal
+        put, worth = instance.setFloat64 if three else instance.setReal, self.task.fmu.factor(INPUT)
         for k, u in enumerate(segment.u[:n].tolist()):
             time = segment.time + k * h
             WATCH.begin(self.task.fmu.path, Call.step)
             try:
-                put(self._in, [u])
+                put(self._in, [u / worth])
                 ended = instance.doStep(time, h)
                 if three and any(ended[1:3]):
                     raise RuntimeError("it requested the end of the simulation")
@@ -206,8 +206,8 @@ class _Replayer:
 
     def _shown(self) -> list[float]:
         instance = self._slave.instance
-        values: list[float] = (instance.getFloat64 if self.task.fmu.fmi == 3 else instance.getReal)(self._out)
-        return values
+        values = (instance.getFloat64 if self.task.fmu.fmi == 3 else instance.getReal)(self._out)
+        return [value * self.task.fmu.factor(name) for value, name in zip(values, self.task.outputs, strict=True)]
 
     def close(self) -> None:
         """Free the instance."""

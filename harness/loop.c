@@ -31,7 +31,7 @@ typedef struct {
     double *in, *out;
 } Unit;
 
-typedef struct { const double *from; double *to; } Link;
+typedef struct { const double *from; double *to; double factor; } Link; /* between the units of the two FMUs */
 typedef struct { long long step; double *to; double value; } Event;
 
 typedef struct {
@@ -40,7 +40,8 @@ typedef struct {
     const Event *events;            /* sorted by step */
     double *const *series_to;       /* row k of series is put on the bus at step k */
     const double *series;
-    const double *const *taps;      /* row k of record is the bus at the start of step k */
+    const double *const *taps;      /* row k of record is the bus at the start of step k, times factors */
+    const double *factors;
     double *record;
     volatile long long *control;    /* [0] steps done, [1] not 0: stop, [3] unit at work */
     long long next_event;
@@ -101,7 +102,7 @@ static int unit_step(const Unit *u, double time, double h)
 static void write_row(const Master *m, long long row)
 {
     double *out = m->record + row * m->n_taps;
-    for (long long i = 0; i < m->n_taps; i++) out[i] = *m->taps[i];
+    for (long long i = 0; i < m->n_taps; i++) out[i] = *m->taps[i] * m->factors[i];
 }
 
 /* Read all outputs and write row 0 of the record. */
@@ -127,7 +128,7 @@ EXPORT long long loop_run(Master *m, long long first, long long count)
         for (; m->next_event < m->n_events && m->events[m->next_event].step <= k; m->next_event++)
             *m->events[m->next_event].to = m->events[m->next_event].value;
         for (long long i = 0; i < m->n_series; i++) *m->series_to[i] = m->series[k * m->n_series + i];
-        for (long long i = 0; i < m->n_links; i++) *m->links[i].to = *m->links[i].from;
+        for (long long i = 0; i < m->n_links; i++) *m->links[i].to = *m->links[i].from * m->links[i].factor;
         for (long long i = 0; i < m->n_units; i++) {
             const Unit *u = &m->units[i];
             long long call = 0; /* inputs, step, outputs */

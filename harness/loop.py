@@ -136,7 +136,7 @@ class _Unit(ctypes.Structure):
 
 
 class _Link(ctypes.Structure):
-    _fields_ = [("from_", ctypes.c_void_p), ("to", ctypes.c_void_p)]
+    _fields_ = [("from_", ctypes.c_void_p), ("to", ctypes.c_void_p), ("factor", ctypes.c_double)]
 
 
 class _Event(ctypes.Structure):
@@ -145,7 +145,8 @@ class _Event(ctypes.Structure):
 
 class _Master(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_void_p) for name in ("units", "links", "events", "series_to", "series", "taps", "record", "control")),
+        *((name, ctypes.c_void_p) for name in ("units", "links", "events", "series_to", "series")),
+        *((name, ctypes.c_void_p) for name in ("taps", "factors", "record", "control")),
         *((name, ctypes.c_longlong) for name in ("next_event", "n_units", "n_links", "n_events", "n_series", "n_taps")),
         ("h", ctypes.c_double),
         *((name, ctypes.c_longlong) for name in ("failed_unit", "failed_status", "failed_call")),
@@ -189,7 +190,7 @@ class Node:
         self.numbers = tuple(sum(map(fmu.is_real, names)) for names in (self.inputs, self.outputs))
         self.in_vr = np.array([fmu.reference(name) for name in self.inputs], dtype=np.uint32)
         self.out_vr = np.array([fmu.reference(name) for name in self.outputs], dtype=np.uint32)
-        self.input = np.array([fmu.start(name) for name in self.inputs], dtype=float)
+        self.input = np.array([fmu.start(name) / fmu.factor(name) for name in self.inputs], dtype=float)
         self.output = np.zeros(len(self.outputs))
 
     def structure(self) -> _Unit:
@@ -271,6 +272,10 @@ class Session:
         array, index = self.nodes[port[0]].place(port[1])
         return _pointer(array) + 8 * index
 
+    def _worth(self, port: Port) -> float:
+        """Return how much one of the FMU's number is on the bus."""
+        return self.nodes[port[0]].slave.fmu.factor(port[1])
+
     def close(self) -> None:
         """Free all FMUs."""
         self._stack.close()
@@ -287,14 +292,20 @@ class Session:
         """Run all steps in the compiled loop, in chunks, so that Python can look after the user between them."""
         bus, lib, names = self.bus, library(), list(self.nodes)
         units = (_Unit * len(names))(*(node.structure() for node in self.nodes.values()))
-        links = (_Link * len(bus.links))(*(_Link(self._address(a), self._address(b)) for a, b in bus.links))
-        events = (_Event * len(bus.events))(*(_Event(step, self._address(to), value) for step, to, value in bus.events))
-        series = np.ascontiguousarray(np.column_stack(list(bus.series.values())) if bus.series else np.empty((0, 0)))
+        links = (_Link * len(bus.links))(
+            *(_Link(self._address(a), self._address(b), self._worth(a) / self._worth(b)) for a, b in bus.links)
+        )
+        events = (_Event * len(bus.events))(
+            *(_Event(step, self._address(to), value / self._worth(to)) for step, to, value in bus.events)
+        )
+        driven = [values / self._worth(port) for port, values in bus.series.items()]
+        series = np.ascontiguousarray(np.column_stack(driven) if driven else np.empty((0, 0)))
         series_to = np.array([self._address(port) for port in bus.series], dtype=np.uintp)
         taps = np.array([self._address(port) for port in bus.record], dtype=np.uintp)
+        factors = np.array([self._worth(port) for port in bus.record], dtype=float)
         master = _Master(
             ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
-            _pointer(taps), _pointer(self.values), _pointer(self.control),
+            _pointer(taps), _pointer(factors), _pointer(self.values), _pointer(self.control),
             0, len(units), len(links), len(events), len(series_to), len(taps), bus.h, -1, 0, 0,
         )  # fmt: skip
         lib.loop_start(ctypes.byref(master))
@@ -329,12 +340,13 @@ class Session:
             while events and events[0][0] <= k:
                 _, (unit, name), value = events.pop(0)
                 array, index = nodes[unit].place(name)
-                array[index] = value
+                array[index] = value / self._worth((unit, name))
             for (unit, name), values in bus.series.items():
                 array, index = nodes[unit].place(name)
-                array[index] = values[k]
+                array[index] = values[k] / self._worth((unit, name))
             for source, to in bus.links:
-                places[to][0][places[to][1]] = places[source][0][places[source][1]]
+                factor = self._worth(source) / self._worth(to)
+                places[to][0][places[to][1]] = places[source][0][places[source][1]] * factor
             for unit, node in nodes.items():
                 WATCH.begin(node.slave.fmu.path, Call.step)
                 try:
@@ -354,7 +366,7 @@ class Session:
     def _write_row(self, k: int, places: Mapping[Port, tuple[Array, int]]) -> None:
         for i, port in enumerate(self.bus.record):
             array, index = places[port]
-            self.values[k, i] = array[index]
+            self.values[k, i] = array[index] * self._worth(port)
 
     # -- the end -----------------------------------------------------------------------------------------------------
 

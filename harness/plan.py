@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from bristle.common.errors import BristleError, suggest
-from bristle.fmus.host import Fmu, Value
+from bristle.fmus.alias import Mapped, alias
+from bristle.fmus.host import Alias, Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
 from bristle.harness.rig import Rig
 from bristle.harness.samples import Samples, read_samples
@@ -95,8 +97,10 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
     for name, part in parts.items():
         if part is None:
             continue
+        if part.fmu is None and part.variables:
+            raise loaded.error(f"{name}.variables", None, f"names those of an FMU of your own; give {name}.fmu, or remove it")
         if part.fmu is not None:
-            found[name] = _foreign(loaded, name, part.fmu)
+            found[name] = _foreign(loaded, name, part.fmu, part.variables)
         elif isinstance(part, Plant) and part.effects:
             found[name] = _with_effects(loaded, part, fmi, kind)
         else:
@@ -113,9 +117,10 @@ def _with_effects(loaded: Loaded, plant: Plant, fmi: int, kind: Kind) -> Fmu:
         raise loaded.error("plant", None, str(error)) from None
 
 
-def _foreign(loaded: Loaded, name: str, file: str) -> Fmu:
+def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mapped]) -> Fmu:
+    aliases = {key: _alias(loaded, name, key, given) for key, given in variables.items()}
     try:
-        fmu = Fmu(loaded.beside(file), foreign=True)
+        fmu = Fmu(loaded.beside(file), True, aliases)
     except BristleError as error:
         raise loaded.error(f"{name}.fmu", file, str(error)) from None
     sides = BUS_PORTS[name]
@@ -123,7 +128,8 @@ def _foreign(loaded: Loaded, name: str, file: str) -> Fmu:
         side = "input" if needed in sides["inputs"] else "output"
         if not fmu.has(needed, side) or not fmu.is_real(needed):
             have = ", ".join(fmu.names(side)) or "none"
-            raise loaded.error(f"{name}.fmu", file, f"has no Real {side} '{needed}' (its {side}s: {have}); rename it in the FMU")
+            advice = f'name the one that is meant: [{name}.variables] {needed} = "..."'
+            raise loaded.error(f"{name}.fmu", file, f"has no Real {side} '{needed}' (its {side}s: {have}); {advice}")
     try:
         for variable, unit in {**sides["inputs"], **sides["outputs"]}.items():
             if variable in fmu.variables:
@@ -131,6 +137,20 @@ def _foreign(loaded: Loaded, name: str, file: str) -> Fmu:
     except BristleError as error:
         raise loaded.error(f"{name}.fmu", file, str(error)) from None
     return fmu
+
+
+def _alias(loaded: Loaded, name: str, key: str, given: Mapped) -> Alias:
+    """Return the variable of an FMU that a port of the bus, or an estimate of an observer, is to be."""
+    where, sides = f"{name}.variables.{key}", BUS_PORTS[name]
+    wanted = {**sides["inputs"], **sides["outputs"]}
+    if key not in wanted and not (name == "observer" and key.rpartition("_")[2] in ("hat", "valid", "sd")):
+        raise loaded.error(where, given, f"no variable of the bus{suggest(key, list(wanted))}; known: {', '.join(wanted)}")
+    unit = wanted.get(key)
+    units = [] if unit is None else [unit, *(UNITS_OF_RIGS.get(unit, ()) if name == "plant" else ())]
+    try:
+        return alias(given, units)
+    except BristleError as error:
+        raise loaded.error(where, given, str(error)) from None
 
 
 def prepare(loaded: Loaded, fmus: dict[str, Fmu]) -> Setup:

@@ -57,6 +57,9 @@ class Part(Section):
 
     fmu: str | None = None
     """Path of an FMU, relative to the scenario file, in place of one that is built."""
+    variables: dict[str, str | dict[str, str | float]] = Field(default={})
+    """Names of the FMU's variables where they are not those of the bus, by these: `u = "voltage"`, or
+    `u = { name = "voltage", unit = "mV", scale = 1.0 }` with its unit and what one of its number is worth in that."""
     parameters: dict[str, Given] = Field(default={})
     """Start values by the names of the FMU's parameters, as text with a unit ("0.001 kg.m2"); numbers alone where the unit is 1."""
 

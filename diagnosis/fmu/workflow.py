@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, suggest
 from bristle.diagnosis.checks.plausibility import check
 from bristle.diagnosis.conclusion import Additions, Case, Conclusion
 from bristle.diagnosis.estimation.fitted_model import fit_from_several_starts
@@ -23,6 +23,7 @@ from bristle.diagnosis.preparation import base_servo_of, dataset_of, nominal_gap
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.selection.start_values import Progress, SearchOptions
 from bristle.diagnosis.workflow import Prepared, check_arguments, implausible, not_searched, search_prepared, teller
+from bristle.fmus.alias import alias
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT
 from bristle.records.record import Record
@@ -70,7 +71,7 @@ def diagnose_fmu(
     """
     check_arguments(model, records)
     tell = teller(progress)
-    fmu = checked_plant(Fmu(fmu_path, foreign=True), model)
+    fmu = plant_fmu(fmu_path, model)
     return search_prepared(lambda given: _prepared(fmu, model, given, tell, timeout), records, tell, options or SearchOptions())
 
 
@@ -103,13 +104,37 @@ def _prepared(
     return Prepared(Case(free, records, twin.dataset, base), additions)
 
 
-def checked_plant(fmu: Fmu, model: Model) -> Fmu:
+def plant_fmu(path: Path, model: Model) -> Fmu:
+    """Return a plant FMU under the names that the model gives its variables.
+
+    Raises
+    ------
+    BristleError
+        If the FMU cannot be read, or lacks the variables that the records speak of.
+    """
+    units = {name: model.unit_in_fmu(name, unit) for name, unit in (("u", "V"), ("theta", "rad"), ("v", "rad/s"))}
+    aliases = {}
+    for key, given in model.variables.items():
+        where = f"{model.path or 'model'}: variables.{key}"
+        if key not in units:
+            raise BristleError(f"{where}: no variable of the records{suggest(key, list(units))}; known: {', '.join(units)}")
+        try:
+            aliases[key] = alias(given, [units[key]])
+        except BristleError as error:
+            raise BristleError(f"{where}: {error}") from None
+    return _checked_plant(Fmu(path, True, aliases), model)
+
+
+def _checked_plant(fmu: Fmu, model: Model) -> Fmu:
     """Refuse an FMU without the variables that the records speak of."""
     output, unit = ("v", "rad/s") if model.output_kind == "velocity" else ("theta", "rad")
     for name, causality in ((INPUT, "input"), (output, "output")):
         if not fmu.has(name, causality) or not fmu.is_real(name):
             known = ", ".join(fmu.names(causality)) or "none"
-            raise BristleError(f"FMU {fmu.path}: no real {causality} '{name}' (there are: {known}); rename it so in the FMU")
+            raise BristleError(
+                f"FMU {fmu.path}: no real {causality} '{name}' (there are: {known}); name the one that is meant "
+                f'in the model file: [variables] {name} = "..."'
+            )
     if not model.linear:
         fmu.check_si(output, unit)
     return fmu

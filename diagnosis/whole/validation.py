@@ -14,13 +14,12 @@ from bristle.common.output import plain
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.simulator import Servo
 from bristle.diagnosis.fmu.open_loop import FmuSimulator
-from bristle.diagnosis.fmu.workflow import checked_plant, unit_lines
+from bristle.diagnosis.fmu.workflow import plant_fmu, unit_lines
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import SEGMENT_SECONDS, fixed_values
 from bristle.diagnosis.report.result import Trace
 from bristle.diagnosis.whole.open_loop import OpenLoop, Records, open_loop
 from bristle.diagnosis.workflow import check_arguments
-from bristle.fmus.host import Fmu
 from bristle.records.record import Record
 
 Simulated = Callable[[Records, float], OpenLoop | None]  # records, and the horizon [s] after which it begins anew
@@ -135,7 +134,7 @@ def validate_fmu(fmu_path: Path, model: Model, records: Sequence[Record], timeou
         If the FMU cannot be read, lacks these variables, crashes, takes longer than `timeout` or refuses a step.
     """
     check_arguments(model, records)
-    fmu = checked_plant(Fmu(fmu_path, foreign=True), model)
+    fmu = plant_fmu(fmu_path, model)
     simulator = FmuSimulator(fmu, model.output_kind == "velocity", timeout)
     found = _validated(fmu.path.name, model, records, simulator.open_loop)
     return replace(found, findings=(*simulator.lines(), *unit_lines(fmu, model), *found.findings))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -144,3 +145,24 @@ def test_a_model_file_and_records_in_one_call(tmp_path, records):
     assert (tmp_path / "out" / "report.html").is_file()
     with pytest.raises(BristleError, match="would be replaced"):
         bristle.validate(model(), tmp_path / "out" / "validation.json", tmp_path / "out")
+
+
+def test_an_fmu_with_names_and_units_of_its_own_has_the_same_errors(records, plant, tmp_path):
+    """The same FMU, its variables renamed and declared in other units: here in the units that its numbers are not in."""
+    renamed = tmp_path / "mine.fmu"
+    with zipfile.ZipFile(plant) as old, zipfile.ZipFile(renamed, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                for word, other in ((b'"u"', b'"voltage"'), (b'"theta"', b'"pos"')):
+                    data = data.replace(b"name=" + word, b"name=" + other)
+            new.writestr(name, data)
+    with pytest.raises(BristleError, match=r"no real input 'u' .*\[variables\] u = "):
+        validate_fmu(renamed, model(), records)
+    named = replace(model(), variables={"u": "voltage", "theta": {"name": "pos"}})
+    expected, found = validate_fmu(plant, model(), records), validate_fmu(renamed, named, records)
+    assert [r.rms for r in found.records] == pytest.approx([r.rms for r in expected.records], rel=1e-9)
+    scaled = replace(named, variables={"u": "voltage", "theta": {"name": "pos", "scale": 2.0}})
+    assert validate_fmu(renamed, scaled, records).records[0].rms > 2 * expected.records[0].rms
+    with pytest.raises(BristleError, match=r"variables\.uu: .*did you mean 'u'"):
+        validate_fmu(renamed, replace(model(), variables={"uu": "voltage"}), records)
