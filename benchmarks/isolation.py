@@ -1,4 +1,4 @@
-"""What a process of its own costs: scenario `quick` over 200 s, its FMUs ours or taken as foreign ones, side by side.
+"""What a process of its own costs: scenario `quick` over 200 s, its plant built by the run or taken as a foreign FMU, side by side.
 
 python benchmarks/isolation.py > benchmarks/results/isolation.md
 """
@@ -6,41 +6,57 @@ python benchmarks/isolation.py > benchmarks/results/isolation.md
 from __future__ import annotations
 
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from bristle.harness.catalogue import find_scenario
-from bristle.harness.isolate import simulate_isolated
-from bristle.harness.loop import Trace, simulate
-from bristle.harness.plan import find_fmus, identification, prepare
-from bristle.harness.scenario import load
+from bristle.fmus import obtain
 
+ROOT = Path(__file__).resolve().parents[1]
 PAIRS = 9
+HEAD = f"""# What a process of its own costs
+
+`bristle run` of scenario `quick` as a whole command, by its plant: built (in the process of the run), or the same FMU given by
+its file (all FMUs in a process of its own). {PAIRS} pairs in turn. Made by
+`python benchmarks/isolation.py > benchmarks/results/isolation.md`
+
+| time simulated, s | built, median (least), s | by its file, median (least), s | ratio (of the least) | same signals |
+|---|---|---|---|---|"""
 
 
-def timed(work: Callable[[], Trace]) -> tuple[float, Trace]:
+def timed(scenario: Path, out: Path) -> float:
     begin = time.perf_counter()
-    trace = work()
-    return time.perf_counter() - begin, trace
+    command = [sys.executable, "-m", "bristle.cli.main", "run", str(scenario), "--out", str(out)]
+    subprocess.run(command, check=True, capture_output=True)
+    return time.perf_counter() - begin
 
 
 def main() -> None:
-    print("# What a process of its own costs\n")
-    print("Simulation alone, without reading, metrics and report; median of")
-    print(f"{PAIRS} pairs of runs in turn. `python benchmarks/isolation.py`\n")
-    print("| scenario | time simulated, s | in this process, s | in its own, s | ratio of the medians | same digits |")
-    print("|---|---|---|---|---|---|")
-    for name, duration in (("quick", 20), ("quick", 200), ("self_starting", 200)):
-        loaded = load(find_scenario(Path(name)), (f"duration={duration} s",))
-        bus = identification(prepare(loaded, find_fmus(loaded)))
-        pairs = [(timed(partial(simulate, bus)), timed(partial(simulate_isolated, bus))) for _ in range(PAIRS)]
-        own, apart = (statistics.median(pair[k][0] for pair in pairs) for k in (0, 1))
-        same = all(np.array_equal(a.values, b.values, equal_nan=True) for (_, a), (_, b) in pairs)
-        print(f"| {name} | {duration} | {own:.2f} | {apart:.2f} | {apart / own:.2f} | {'yes' if same else 'no'} |", flush=True)
+    print(HEAD)
+    quick = (ROOT / "scenarios" / "quick.toml").read_text(encoding="utf-8").replace('name = "quick"\n', "")
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        (place / "plant.fmu").write_bytes(obtain("plant").read_bytes())
+        for duration in (20, 200):
+            built = quick.replace('"20 s"', f'"{duration} s"')
+            given = built.replace('law = "modified"\n', 'fmu = "plant.fmu"\n')
+            given = given.replace("[plant.parameters]", '[plant.parameters]\nlaw = "modified"')
+            files = [place / f"{name}{duration}.toml" for name in ("built", "given")]
+            for file, text in zip(files, (built, given), strict=True):
+                file.write_text(text, encoding="utf-8")
+            for file in files:
+                timed(file, place)  # builds what is not in the cache
+            times = np.array([[timed(file, place) for file in files] for _ in range(PAIRS)])
+            signals = [(place / file.stem / "signals.csv").read_bytes() for file in files]
+            own, apart = (statistics.median(times[:, k]) for k in (0, 1))
+            least = times.min(axis=0)
+            cells = [f"{duration}", f"{own:.2f} ({least[0]:.2f})", f"{apart:.2f} ({least[1]:.2f})"]
+            cells += [f"{apart / own:.2f} ({least[1] / least[0]:.2f})", "yes" if signals[0] == signals[1] else "no"]
+            print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":
