@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 # colours by Okabe and Ito, which colour-blind readers can distinguish
 BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
 DEGREES = 180.0 / math.pi
-POINTS = 1200  # points of a curve, at most
+THINNED_POINTS = 1200  # points of a curve, at most
 TICKS = 5  # intervals between ticks, at most
 MARGINS = (0.74, 0.15, 0.5, 0.36)  # margins left, right, below and above the axes [inch]
 BESIDE, LETTER = 0.16, 0.074  # both gaps beside the tick labels together, mean width of their letters [inch]
@@ -27,7 +27,7 @@ STYLE: Any = {
 }  # fmt: skip
 
 
-def thin(n: int, points: int = POINTS) -> NDArray[np.intp]:
+def thin(n: int, points: int = THINNED_POINTS) -> NDArray[np.intp]:
     """Return at most `points` evenly spread indices of n samples."""
     return np.unique(np.linspace(0, n - 1, min(n, points)).round().astype(np.intp))
 

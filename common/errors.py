@@ -7,7 +7,8 @@
     │       ├── EquationError      equations are incomplete, or cannot be composed
     │       ├── RestartError       an FMU cannot be started again from given states
     │       ├── IncompleteError    one of several outputs could not be made; the others were written
-    │       └── NotStaticError     the inverse dynamics need states that are not measured
+    │       ├── NotStaticError     the inverse dynamics need states that are not measured
+    │       └── NotApplicable      bristle.fmus.conformance.behaviour: a point asks for what the FMU does not claim to do
     └── RuntimeError
         ├── CoreError              bristle.model.runtime
         └── RefusedError           bristle.fmus.slave

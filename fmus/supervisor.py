@@ -28,7 +28,7 @@ SET_DEATH_SIGNAL, SET_SUBREAPER = 1, 36  # of Linux's prctl
 PATIENCE = 5.0  # s that ending what is left may take
 LARGEST_FILE = 1 << 30  # bytes that the worker may write into one file
 MEMORY_SHARE = 0.8  # of the machine's memory that the worker may have
-POLL_INTERVAL = 0.02  # s, where the system cannot wait for a process and a pipe at once
+END_POLL = 0.02  # s, where the system cannot wait for a process and a pipe at once
 
 
 def main(folder: str) -> None:
@@ -112,7 +112,7 @@ def _ended(worker: int) -> int | None:
     with contextlib.suppress(AttributeError, OSError):
         waiting.append(os.pidfd_open(worker))
     while True:
-        ready, _, _ = select.select(waiting, [], [], None if len(waiting) > 1 else POLL_INTERVAL)
+        ready, _, _ = select.select(waiting, [], [], None if len(waiting) > 1 else END_POLL)
         pid, status = os.waitpid(worker, os.WNOHANG)
         if pid:
             return status

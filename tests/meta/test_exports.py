@@ -23,6 +23,9 @@ PUBLIC = {
         "load_model", "load_records", "records_from_arrays", "validate", "validate_fmu", "write", "write_validation",
     ],
     "bristle.fmus": ["build", "obtain"],
+    "bristle.fmus.conformance": [
+        "BEHAVIOUR", "POINTS", "Result", "Severity", "Verdict", "conformance", "junit", "static_conformance", "to_tree",
+    ],
     "bristle.model.declarations": ["checked_declarations", "source_keys"],
     "bristle.model.native": ["Native"],
     "bristle.model.program": ["Program"],

@@ -168,7 +168,9 @@ def test_a_unit_is_compiled_again_only_if_it_or_what_it_includes_changed(tmp_pat
     monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / "cache"))
     compiled = []
     run = compiler._compiler
-    monkeypatch.setattr(compiler, "_compiler", lambda arguments, folder: (compiled.append(arguments), run(arguments, folder)))
+    monkeypatch.setattr(
+        compiler, "_compiler", lambda triple, arguments, folder: (compiled.append(arguments), run(triple, arguments, folder))
+    )
     shown = '__attribute__((visibility("default")))'
     sources = {
         "a.c": f'#include "a.h"\n{shown} double f(double x) {{ return FACTOR * x; }}\n', "a.h": '# include "b.h"\n',
@@ -189,7 +191,7 @@ def test_a_unit_is_compiled_again_only_if_it_or_what_it_includes_changed(tmp_pat
     assert units(c_h="int other;\n") == ([], 6.0)
     assert units(b_h="#define FACTOR 3.0\n") == (["a.c"], 9.0)
     assert units(c_c="int d;\n") == (["c.c"], 6.0)
-    monkeypatch.setattr(compiler, "compiler_identity", lambda: "another one")
+    monkeypatch.setattr(compiler, "compiler_identity", lambda triple: "another one")
     assert units() == (["a.c", "c.c"], 6.0)
 
 
