@@ -128,7 +128,7 @@ def _sources(package: str) -> list[str | bytes]:
     spec = find_spec(package)
     assert spec is not None
     folder = Path(next(iter(spec.submodule_search_locations or ())))
-    paths = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".c", ".h", ".txt"))
+    paths = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".c", ".h", ".txt", ".png", ".svg"))
     return [part for path in paths for part in (path.relative_to(folder).as_posix(), path.read_bytes())]
 
 

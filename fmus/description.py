@@ -13,6 +13,7 @@ from bristle.model.system import SAMPLE_TIME, TOLERANCE
 from bristle.model.variables import Parameter
 
 STOP_TIME = 20.0  # s, of the default experiment
+DISPLAY_UNITS = {"rad": "deg", "rad/s": "rpm", "s": "ms"}  # unit -> what a tool may show instead
 LOG_CATEGORY = ("logStatusError", "why a call was refused or a simulation cannot go on")
 
 
@@ -37,7 +38,10 @@ def _units(parent: ET.Element, variables: Sequence[Exposed]) -> None:
         unit = parse_unit(text)
         powers = {base: power for base, power in zip(BASE, unit.exponents, strict=True) if power}
         factor = {"factor": unit.factor} if unit.factor != 1.0 else {}
-        _element(_element(definitions, "Unit", name=text), "BaseUnit", **powers, **factor)
+        element = _element(definitions, "Unit", name=text)
+        _element(element, "BaseUnit", **powers, **factor)
+        if (shown := DISPLAY_UNITS.get(text)) is not None:
+            _element(element, "DisplayUnit", name=shown, factor=unit.factor / parse_unit(shown).factor)
 
 
 def _selector_type(interface: Interface) -> str:
@@ -64,11 +68,20 @@ def _limit(value: float | None, exposed: Exposed) -> float | int | None:
     return None if value is None else int(value) if exposed.type in ("Enumeration", "Integer") else float(value)
 
 
+def _display_unit(exposed: Exposed) -> str | None:
+    """Return what an angle, a speed or a sample time is shown in; simulated time stays in seconds."""
+    unit = exposed.slot.variable.unit
+    if exposed.type != "Real" or (unit == "s" and exposed.name != SAMPLE_TIME.name):
+        return None
+    return DISPLAY_UNITS.get(unit)
+
+
 def _value_attributes(interface: Interface, exposed: Exposed) -> dict[str, object]:
     """Return the attributes of a value, which have the same names in both standards."""
     return {
         "declaredType": _selector_type(interface) if exposed.type == "Enumeration" else None,
         "unit": exposed.slot.variable.unit if exposed.type == "Real" else None,
+        "displayUnit": _display_unit(exposed),
         "min": _limit(exposed.minimum, exposed),
         "max": _limit(exposed.maximum, exposed),
         "nominal": exposed.nominal,
@@ -181,6 +194,13 @@ def description_2(interface: Interface, sources: Sequence[str]) -> bytes:
 TYPES_3 = {"Real": "Float64", "Boolean": "Boolean", "Enumeration": "Enumeration", "Integer": "Int32"}
 
 
+def _sampled_period(interface: Interface) -> float | None:
+    """Return the sample time where nothing is continuous, else None."""
+    if any(variant.system.states for variant in interface.program.variants):
+        return None
+    return next((slot.start for slot in interface.program.slots if slot.name == SAMPLE_TIME.name), None)
+
+
 def _interfaces_3(root: ET.Element, interface: Interface) -> None:
     common: dict[str, object] = {
         "modelIdentifier": interface.program.name,
@@ -190,7 +210,8 @@ def _interfaces_3(root: ET.Element, interface: Interface) -> None:
     }
     if interface.exchange:
         _element(root, "ModelExchange", **common)
-    _element(root, "CoSimulation", **common, canHandleVariableCommunicationStepSize=True)
+    fixed = _sampled_period(interface)
+    _element(root, "CoSimulation", **common, canHandleVariableCommunicationStepSize=True, fixedInternalStepSize=fixed)
 
 
 def _variables_3(root: ET.Element, interface: Interface) -> None:

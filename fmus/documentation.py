@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from html import escape
+from importlib.resources import files
 
 from bristle.fmus.interface import Exposed, Interface
+from bristle.model.system import SAMPLE_TIME
 from bristle.model.variables import Parameter
 
 PAGE_SECTIONS = {
@@ -28,10 +31,32 @@ def _row(x: Exposed) -> list[str]:
     return [x.name, variable.unit, start, interval, variable.description, source]
 
 
-def _table(rows: Sequence[Sequence[str]]) -> str:
+def _table(rows: Sequence[Sequence[str]], columns: Sequence[str] = PAGE_COLUMNS) -> str:
     lines = ["<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row) + "</tr>"
-             for tag, row in (("th", PAGE_COLUMNS), *(("td", row) for row in rows))]  # fmt: skip
+             for tag, row in (("th", columns), *(("td", row) for row in rows))]  # fmt: skip
     return "<table>\n" + "\n".join(lines) + "\n</table>"
+
+
+def _step_sizes(interface: Interface) -> str:
+    """Return what a host has to know of communication steps, with the measured errors of the plant."""
+    systems = [variant.system for variant in interface.program.variants]
+    period = next((s.start for s in interface.program.slots if s.name == SAMPLE_TIME.name), None)
+    parts = ["<h2>Communication steps</h2>"]
+    if period is not None:
+        what = "It is" if not any(system.states for system in systems) else "What is sampled, such as an encoder, is"
+        parts.append(
+            f"<p>{what} computed every <code>{SAMPLE_TIME.name}</code> ({period:g} s), whatever the communication step is. Steps of"
+            " that size are preferred; over longer ones inputs are held, and of the values between only the last is seen.</p>"
+        )
+    if any(system.states for system in systems):
+        parts.append(
+            "<p>What is continuous is integrated with steps of its own, so that the communication step only says for how long an"
+            " input is held. Error of the velocity over its own size (rms, the worst of all friction laws of ServoPlant, with a"
+            " voltage of two sines of 5 and 23 rad/s), and what of it the integration causes:</p>"
+        )
+        columns, *rows = csv.reader((files("bristle.fmus") / "plant" / "steps.csv").read_text(encoding="utf-8").splitlines())
+        parts.append(_table(rows, columns))
+    return "\n".join(parts)
 
 
 def documentation(interface: Interface) -> str:
@@ -48,5 +73,6 @@ def documentation(interface: Interface) -> str:
     for title, causalities in PAGE_SECTIONS.items():
         if variables := interface.of(*causalities):
             parts.append(f"<h2>{title}</h2>\n" + _table([_row(x) for x in variables]))
+    parts.append(_step_sizes(interface))
     head = f'<meta charset="utf-8">\n<title>{escape(program.name)}</title>\n<style>{PAGE_STYLE}</style>'
     return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n' + "\n".join(parts) + "\n</body>\n</html>\n"

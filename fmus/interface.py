@@ -10,6 +10,7 @@ from functools import cached_property
 import casadi as ca
 
 from bristle.model.program import Program, Slot, Variant
+from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, TOLERANCE
 from bristle.model.variables import Parameter, State
 
 SX = ca.SX
@@ -19,6 +20,7 @@ CAUSALITY = {
     "calculated": "calculatedParameter", "input": "input", "output": "output", "running": "output",
     "state": "local", "der": "local",
 }  # fmt: skip
+SCHEDULE = tuple(each.name for each in (SAMPLE_TIME, TOLERANCE, MAX_STEP, MAX_STEPS, FRICTION_STEP))  # when what is computed
 INITIAL = {"parameter": "exact", "calculatedParameter": "calculated", "output": "calculated", "local": "calculated"}
 
 
@@ -58,10 +60,29 @@ class Exposed:
     def settable(self) -> bool:
         return self.causality in ("parameter", "input")
 
+    @property
+    def settable_late(self) -> bool:
+        """True if it may be set between steps as well."""
+        return self.causality == "input" or self.variability == "tunable"
+
 
 def symbols_in(expression: SX) -> set[str]:
     """Return the names of the symbols in an expression."""
     return {symbol.name() for symbol in ca.symvar(SX(expression))}
+
+
+def tunable_parameters(program: Program) -> frozenset[str]:
+    """Return the parameters that may change between steps: nothing that is computed only once, at the start, contains them.
+
+    That leaves gains, limits, memories, and the sizes of effects. What says when something is computed stays as it is.
+    """
+    fixed = set(SCHEDULE)
+    for system in (variant.system for variant in program.variants):
+        carried = {**system.states, **system.before, **system.after, **system.modes}
+        once = [value for block in system.constants for value in block.values()]
+        once += [value for _, value in system.calculated.values()] + [state.initial for state in carried.values()]
+        fixed = fixed.union(*map(symbols_in, once))
+    return frozenset(slot.name for slot in program.slots if slot.kind == "parameter" and slot.name not in fixed)
 
 
 class Interface:
@@ -71,7 +92,7 @@ class Interface:
     """
 
     def __init__(self, program: Program, native: bool = True) -> None:
-        self.program = program
+        self.program, self.tunable = program, tunable_parameters(program)
         self.exchange = native and len(program.variants) == 1 and program.variants[0].system.smooth
         self.variables = [self._exposed(slot) for slot in program.slots if self._shown(slot)]
 
@@ -81,7 +102,8 @@ class Interface:
     def _exposed(self, slot: Slot) -> Exposed:
         variable, causality = slot.variable, CAUSALITY[slot.kind]
         if isinstance(variable, Parameter):
-            return Exposed(slot, "Real", causality, "fixed", variable.minimum, variable.maximum)
+            variability = "tunable" if slot.name in self.tunable else "fixed"
+            return Exposed(slot, "Real", causality, variability, variable.minimum, variable.maximum)
         if slot.kind == "selector":
             return Exposed(slot, "Enumeration", causality, "fixed", 1, len(self.program.variants))
         if slot.kind == "index":
@@ -168,7 +190,7 @@ def _access(exposed: Exposed | None) -> str:
     bits = [exposed.type.upper()]
     if exposed.settable:
         bits.append("SET_EARLY")
-    if exposed.causality == "input":
+    if exposed.settable_late:
         bits.append("SET_LATE")
     if exposed.slot.kind == "state":
         bits.append("SET_STATE")

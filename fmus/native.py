@@ -10,6 +10,7 @@ from bristle.fmus.description import build_description, description_2, descripti
 from bristle.fmus.documentation import documentation
 from bristle.fmus.interface import Interface, c_tables
 from bristle.fmus.platforms import Platform, binaries
+from bristle.fmus.terminals import terminal_files
 from bristle.model.program import Program
 from bristle.model.sources import c_sources
 
@@ -36,11 +37,12 @@ def fmu_sources(interface: Interface, fmi: int) -> dict[str, str]:
     return c_sources(interface.program) | c_tables(interface, fmi) | own | fmi_headers(fmi)
 
 
-def common_files(interface: Interface) -> dict[str, bytes]:
+def common_files(interface: Interface, fmi: int) -> dict[str, bytes]:
     """Return the files that every kind of FMU holds."""
     text = (files("bristle.fmus") / "c" / "LICENSE.txt").read_bytes()
     page = documentation(interface).encode()
-    return {"documentation/index.html": page, "documentation/licenses/license.txt": text}
+    pages = {"documentation/index.html": page, "documentation/licenses/license.txt": text}
+    return pages | terminal_files(interface, fmi)
 
 
 def native_files(program: Program, fmi: int, platforms: Sequence[Platform]) -> dict[str, bytes]:
@@ -48,7 +50,7 @@ def native_files(program: Program, fmi: int, platforms: Sequence[Platform]) -> d
     interface = Interface(program)
     sources = fmu_sources(interface, fmi)
     units = sorted(name for name in sources if name.endswith(".c"))
-    content = common_files(interface) | {f"sources/{name}": text.encode() for name, text in sources.items()}
+    content = common_files(interface, fmi) | {f"sources/{name}": text.encode() for name, text in sources.items()}
     if fmi == 2:
         content["modelDescription.xml"] = description_2(interface, units)
     else:

@@ -19,14 +19,15 @@ def _row(x: Exposed) -> str:
     minimum, maximum = x.checked
     low = "-math.inf" if minimum is None else repr(float(minimum))
     high = "math.inf" if maximum is None else repr(float(maximum))
-    return f"    {x.reference}: ({x.name!r}, {x.type!r}, {x.causality!r}, {low}, {high}),"
+    until = "always" if x.settable_late else "start" if x.settable else "never"
+    return f"    {x.reference}: ({x.name!r}, {x.type!r}, {until!r}, {low}, {high}),"
 
 
 def _tables(interface: Interface) -> str:
     """Return the generated module: equations, and the variables by value reference."""
     rows = [_row(x) for x in interface.variables if x.causality != "independent"]
     return python_source(interface.program) + "\n".join(
-        [f"TOKEN = {interface.program.token!r}", "VARIABLES = {  # name, type, causality, limits", *rows, "}", ""]
+        [f"TOKEN = {interface.program.token!r}", "VARIABLES = {  # name, type, when it may be set, limits", *rows, "}", ""]
     )
 
 
@@ -83,7 +84,7 @@ def python_files(program: Program) -> dict[str, bytes]:
     package = _package(interface)
     # FMUs in one process share sys.modules: different contents need different names
     script = f"bristle_{program.name.lower()}_{digest(*(part for pair in package.items() for part in pair))[:16]}"
-    content = common_files(interface) | {"modelDescription.xml": description_2(interface, ())}
+    content = common_files(interface, 2) | {"modelDescription.xml": description_2(interface, ())}
     content |= {f"resources/{script}_parts/{name}": text.encode() for name, text in package.items()}
     content[f"resources/{script}.py"] = _script(interface, f"{script}_parts").encode()
     content["resources/slavemodule.txt"] = script.encode()

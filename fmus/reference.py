@@ -1,6 +1,7 @@
-"""Short reference runs of the shipped FMUs, and the check that a run stays within a tube around them.
+"""Short reference runs of the shipped FMUs, the check that a run stays within a tube around them, and errors by step size.
 
-``python -m bristle.fmus.reference`` accepts the present behaviour: it rewrites reference.csv in each FMU's folder.
+``python -m bristle.fmus.reference`` accepts the present behaviour: it rewrites reference.csv in each FMU's folder, and steps.csv
+in the plant's.
 """
 
 from __future__ import annotations
@@ -16,14 +17,15 @@ from numpy.typing import NDArray
 from bristle.fmus.build import FMU_NAMES, program_of
 from bristle.fmus.interface import Interface
 from bristle.model.native import Native
+from bristle.plant.friction import laws
 
 Array = NDArray[np.float64]
 
-REFERENCE_RUN_STEP, REFERENCE_RUN_STEPS, STEPS_PER_ROW = (
-    1e-3,
-    2000,
-    20,
-)  # communication step [s], their number in a run, steps between rows of the file
+# communication step [s], their number in a run, steps between rows of the file
+REFERENCE_RUN_STEP, REFERENCE_RUN_STEPS, STEPS_PER_ROW = 1e-3, 2000, 20
+STEP_SIZES = (5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # s, of which the error is measured
+FINEST_STEP = 6.25e-5  # s, of the run that they are compared with
+COMPARISON_STEP = 2e-2  # s between two times at which they are compared, a multiple of all step sizes
 TUBE_HALF_WIDTH = 1e-6  # half width of the tube over the range of the signal
 
 
@@ -75,6 +77,34 @@ def outside(reference: Mapping[str, Array], result: Mapping[str, Array]) -> dict
     return found
 
 
+def step_errors(law: str, held: bool) -> list[float]:
+    """Return the rms error of the plant's velocity over the rms velocity, by communication step (`STEP_SIZES`).
+
+    The input is a sum of two sines, of which a host gives the value at the start of each step; `held`: it changes only at the times
+    at which velocities are compared, so that what is left is the error of the integration.
+    """
+    program, end = program_of("plant", law), REFERENCE_RUN_STEP * REFERENCE_RUN_STEPS
+
+    def velocity(step: float) -> Array:
+        k, ratio = np.arange(round(end / step)), round(COMPARISON_STEP / step)
+        t = COMPARISON_STEP * (k // ratio) if held else step * k
+        record, _ = Native(program).run(step, {"u": 6.0 * np.sin(5.0 * t) + 2.0 * np.sin(23.0 * t)}, ["v"])
+        return np.asarray(record[::ratio, 0])
+
+    exact = velocity(FINEST_STEP)
+    return [float(np.sqrt(np.mean((velocity(step) - exact) ** 2) / np.mean(exact**2))) for step in STEP_SIZES]
+
+
+def write_step_errors(folder: Path) -> None:
+    """Write steps.csv into the plant's folder: a row a step size, the largest error of all laws."""
+    worst = [np.max([step_errors(law, held) for law in laws()], axis=0) for held in (False, True)]
+    rows = [
+        ",".join([f"{step:g}", *(f"{error:.2g}" for error in errors)]) for step, *errors in zip(STEP_SIZES, *worst, strict=True)
+    ]
+    text = "\n".join(["step [s],error,error of the integration", *rows]) + "\n"
+    (folder / "steps.csv").write_text(text, encoding="utf-8", newline="\n")
+
+
 def write_reference(what: str, folder: Path) -> None:
     """Write reference.csv into an FMU's folder."""
     columns = reference_run(what)
@@ -86,3 +116,4 @@ def write_reference(what: str, folder: Path) -> None:
 if __name__ == "__main__":
     for each in FMU_NAMES:
         write_reference(each, Path(__file__).parent / each)
+    write_step_errors(Path(__file__).parent / "plant")

@@ -122,12 +122,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         return found
 
     def _check(self, reference: int, value: float, kinds: Sequence[str]) -> None:
-        name, own_kind, causality, low, high = self._variable(reference)
+        name, own_kind, settable, low, high = self._variable(reference)
         if own_kind not in kinds:
             raise RefusedError(f"{name} is of another type")
-        if causality not in ("parameter", "input"):
+        if settable == "never":
             raise RefusedError(f"{name} is computed and cannot be set")
-        if causality == "parameter" and self.mode == "step":
+        if settable == "start" and self.mode == "step":
             raise RefusedError(f"{name} is a fixed parameter; set it before initialization ends")
         if not (math.isfinite(value) and low <= value <= high):
             raise RefusedError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")

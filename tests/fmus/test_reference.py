@@ -1,5 +1,7 @@
 """The shipped reference runs, through FMI; and that the comparison can fail."""
 
+from importlib.resources import files
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,13 @@ from bristle.fmus.build import FMU_NAMES
 from bristle.fmus.reference import (
     REFERENCE_RUN_STEP,
     REFERENCE_RUN_STEPS,
+    STEP_SIZES,
     STEPS_PER_ROW,
     inputs,
     outside,
     read_reference,
     reference_run,
+    step_errors,
 )
 
 
@@ -70,3 +74,18 @@ def test_readme_is_ten_lines(what):
     lines = (files("bristle.fmus") / what / "README.md").read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("# ")
     assert 8 <= len(lines) <= 12
+
+
+def test_errors_by_step_size_are_measured_and_stand_in_the_documentation(built):
+    """The table of the documentation; an input that changes is held, which delays it by half a step."""
+    lines = (files("bristle.fmus") / "plant" / "steps.csv").read_text(encoding="utf-8").splitlines()
+    table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    held = [step_errors("viscous", True), step_errors("coulomb", True)]
+    moving = step_errors("viscous", False)
+    assert np.all(np.max(held, axis=0) <= 1.01 * table[:, 2])
+    assert np.all(moving <= 1.05 * table[:, 1])
+    np.testing.assert_allclose(moving, table[:, 1], rtol=0.15)  # all laws have nearly the same error
+    np.testing.assert_allclose(np.diff(np.log(moving)) / np.diff(np.log(STEP_SIZES)), 1.0, atol=0.15)
+    page = (built("plant", fmi=3).folder / "documentation" / "index.html").read_text(encoding="utf-8")
+    assert all(cell in page for line in lines[1:] for cell in line.split(","))
+    assert "Communication steps" in (built("observer").folder / "documentation" / "index.html").read_text(encoding="utf-8")
