@@ -35,7 +35,7 @@ NONSMOOTH_GAIN = 5.0  # nats: least gain for which a result of these rounds is t
 LOAD_PASSES = 6  # most alternations of the load's initial place and all parameters
 
 
-def _gradient(fit: Fit) -> Array:
+def gradient_of(fit: Fit) -> Array:
     """Return the gradient of the log-likelihood, prior knowledge included (free,), on the scale of each parameter's steps."""
     gradient = np.asarray(fit.weight @ fit.slopes)
     for i, f in enumerate(fit.free):
@@ -52,7 +52,7 @@ def damped(information: Array, damping: float) -> Array:
 
 def _direction(fit: Fit, damping: float) -> tuple[Array, Array, float]:
     """Return the step of the parameters (free,), of the initial states (segments, width), and the predicted gain [nats]."""
-    gradient = _gradient(fit)
+    gradient = gradient_of(fit)
     active = np.ones(len(fit.free), dtype=bool)
     step = np.zeros(len(fit.free))
     for _ in range(len(fit.free) + 1):  # parameters that would leave their interval stay
@@ -79,7 +79,7 @@ def pressed_bounds(fit: Fit, prefix: str) -> dict[str, float]:
 
     The gain is that predicted where the bound is taken away and all parameters within their intervals follow.
     """
-    gradient, inside = _gradient(fit), [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])]
+    gradient, inside = gradient_of(fit), [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])]
     found = {}
     for i, f in enumerate(fit.free):
         if not (f.name.startswith(prefix) and f.at_binding_bound(fit.values[f.name])):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, Fit, Problem
-from bristle.diagnosis.estimation.optimiser import damped, refit_initial_states
+from bristle.diagnosis.estimation.likelihood import Fit, Problem
+from bristle.diagnosis.estimation.optimiser import damped, gradient_of, refit_initial_states
+from bristle.diagnosis.estimation.simulator import Free
 
 LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error
 OUTLIER_QUARTILES = 10.0  # times the upper quartile of the segments' squared errors: most that one segment counts for
 FOLD_DAMPING = 1e-9  # relative increase of each curvature, so that what one segment alone shows can be solved for
+EVEN_VARIANCE = 1.0 / 12.0  # of what is anywhere in an interval of length 1 with the same probability
 
 
 def fall(before: Array, after: Array) -> float:
@@ -25,20 +27,37 @@ def fall(before: Array, after: Array) -> float:
 def predictive_density(held_out: Problem, fit: Fit) -> Array:
     """Return the log predictive density of each segment (segments,) [nats], initial states integrated out; 0 for others.
 
-    Held-out segments take no part in the fit. Each of the others is judged with the parameters that the fit would have without it:
-    one Gauss-Newton step from those that it has, by its own scores and information. Parameters that end at a bound stay there.
+    Held-out segments take no part in the fit. Each of the others is judged with the parameters that the fit would have without it,
+    and what it would then not know of them. Parameters that end at a bound stay there.
 
-    Source: stone1974 (cross-validation), pregibon1981 (one step in place of a refit without an observation).
+    Source: stone1974 (cross-validation).
     """
     inside = [i for i, f in enumerate(fit.free) if not f.at_bound(fit.values[f.name])]
-    columns = fit.by_parameter[:, :, inside]
-    own = np.matmul(columns.transpose(0, 2, 1), fit.elimination.project(columns))
-    slopes, weight = fit.slopes[:, inside], fit.weight[:, None]
-    rest = damped(fit.information[np.ix_(inside, inside)], FOLD_DAMPING) - weight[:, :, None] * own
-    step = -np.linalg.solve(rest, (weight * slopes)[:, :, None])[:, :, 0]
-    counted = fit.weight > 0
-    scale = T_DEGREES_OF_FREEDOM + fit.white.shape[1] - 2
-    misfit = scale / np.where(counted, fit.weight, 1.0)  # and the degrees of freedom
-    change = np.einsum("sp,spq,sq->s", step, own, step) - 2 * np.einsum("sp,sp->s", slopes, step)
-    without = fit.score - 0.5 * scale * np.log(np.maximum(misfit + change, T_DEGREES_OF_FREEDOM) / misfit)
-    return np.asarray(np.where(counted, without, fit.score) + refit_initial_states(held_out, fit).score)
+    columns, weight = fit.by_parameter[:, :, inside], fit.weight[:, None]
+    own = weight[:, :, None] * np.matmul(columns.transpose(0, 2, 1), fit.elimination.project(columns))
+    anywhere = np.diag([_precision(fit.free[i]) for i in inside])
+    information = damped(fit.information[np.ix_(inside, inside)], FOLD_DAMPING) + anywhere
+    lost = left_out_loss(own, weight * fit.slopes[:, inside], gradient_of(fit)[inside], information)
+    return np.asarray(np.where(fit.weight > 0, fit.score - lost, fit.score) + refit_initial_states(held_out, fit).score)
+
+
+def left_out_loss(own: Array, pull: Array, gradient: Array, information: Array) -> Array:
+    """Return how much likelier each segment is in the common fit than under the parameters that the others give (segments,) [nats].
+
+    The parameters are integrated out, so that what a segment alone shows costs the size of the interval where it was looked for, and
+    not what a wrong guess would. `own` (segments, k, k), `pull` (segments, k): information and gradient of each segment at the fit;
+    `information` (k, k), `gradient` (k,): those of all, prior knowledge included.
+
+    Source: tierney1986 (integrals by the curvature at their maxima).
+    """
+    rest = information - own
+    others = gradient - pull
+    drawn = np.einsum("sp,sp->s", others, np.linalg.solve(rest, others[:, :, None])[:, :, 0])
+    wider = np.linalg.slogdet(information)[1] - np.linalg.slogdet(rest)[1]
+    return np.asarray(0.5 * (drawn - gradient @ np.linalg.solve(information, gradient) + wider))
+
+
+def _precision(free: Free) -> float:
+    """Return the inverse variance of a parameter that is anywhere in its interval, on the scale of its steps."""
+    length = free.scaled(free.high) - free.scaled(free.low)
+    return 1.0 / (EVEN_VARIANCE * length**2)

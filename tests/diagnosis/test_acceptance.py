@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from bristle.diagnosis import conclusion
 from bristle.diagnosis.estimation import uncertainty as intervals
@@ -21,7 +22,7 @@ from bristle.diagnosis.localisation.views import clocks
 from bristle.diagnosis.preparation import base_servo_of
 from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, Assessment, Candidate
 from bristle.diagnosis.selection.criterion import Comparison, is_tied, simplest
-from bristle.diagnosis.selection.effect_size import fall, predictive_density
+from bristle.diagnosis.selection.effect_size import fall, left_out_loss, predictive_density
 from bristle.diagnosis.selection.refinement import add_effect, is_wave_harmonic
 from bristle.diagnosis.selection.start_values import SearchContext, SearchOptions, bristle_starts, joint_starts_of
 from bristle.diagnosis.selection.stepwise import (
@@ -73,7 +74,7 @@ def test_the_criterion_asks_segments_that_no_parameter_was_fitted_to(case, name)
 
 
 def test_a_segment_is_predicted_as_if_the_fit_had_been_made_without_it(case):
-    """One step in place of the refit: of the segments that move it most, it costs as much as a refit without each does."""
+    """Of the segments that move the fit most, it costs about as much as a refit without each does, and what is not known then."""
     made = case("bias")
     problem, fit = made.base.problem, maximise(made.base.problem, made.base.fit, stop_gain=1e-4)
     quick = fit.score - predictive_density(problem.only(made.dataset.held_out), fit)
@@ -85,6 +86,32 @@ def test_a_segment_is_predicted_as_if_the_fit_had_been_made_without_it(case):
         costs.append((quick[k], fit.score[k] - predicted))
     assert np.all(np.array(costs) > 0)
     assert np.sum(costs, axis=0)[0] == pytest.approx(np.sum(costs, axis=0)[1], rel=0.4)
+
+
+@pytest.mark.parametrize("beside", [0.0, 0.3])
+@pytest.mark.parametrize("lone", [False, True])
+def test_what_a_segment_loses_without_being_fitted_is_that_of_linear_regression(lone, beside):
+    """The density of each block of y given the others, from the maximum and from beside it; also of what one block alone shows."""
+    rng = np.random.default_rng(3)
+    x, sd = rng.standard_normal((7, 5, 3)), np.array([2.0, 0.5, 1.0])
+    if lone:
+        x[np.arange(7) != 4, :, 2] = 0.0
+        x[4, :, 2] *= 100.0
+    y = x @ (sd * rng.standard_normal(3)) + rng.standard_normal((7, 5))
+    own, prior = np.matmul(x.transpose(0, 2, 1), x), np.diag(sd**-2)
+    information = own.sum(axis=0) + prior
+    point = np.linalg.solve(information, np.einsum("sbp,sb->p", x, y)) + beside * sd
+
+    def density(blocks):
+        flat, wide = y[blocks].ravel(), x[blocks].reshape(-1, 3)
+        return multivariate_normal(np.zeros(len(flat)), np.eye(len(flat)) + wide @ np.diag(sd**2) @ wide.T).logpdf(flat)
+
+    expected = [density(np.arange(7)) - density(np.arange(7) != k) for k in range(7)]
+    rest = y - x @ point
+    at_point = -0.5 * (rest**2).sum(axis=1) - 2.5 * np.log(2 * np.pi)
+    pull = np.einsum("sbp,sb->sp", x, rest)
+    lost = left_out_loss(own, pull, pull.sum(axis=0) - point / sd**2, information)
+    np.testing.assert_allclose(at_point - lost, expected, rtol=1e-8)
 
 
 @pytest.mark.parametrize(
