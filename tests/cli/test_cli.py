@@ -159,6 +159,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "list",
         "build",
         "run",
+        "test",
         "reproduce",
         "init",
         "diagnose",

@@ -1,0 +1,248 @@
+"""Many runs of scenarios, by file, seed and values: which passed, and how each check came out over all of them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import multiprocessing
+import signal
+import statistics
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from bristle.common.errors import BristleError
+from bristle.common.toml import read_toml
+from bristle.harness.catalogue import find_scenario
+from bristle.harness.run import Options, check, run
+
+Told = Callable[[str, int, int], None]  # what was done last, how many are done, of how many
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: a scenario file, a seed of the reference if one is given, and values that differ from the file's."""
+
+    path: Path
+    seed: int | None = None
+    values: tuple[str, ...] = ()  # each path=value
+
+    @property
+    def folder(self) -> Path:
+        """Where its result folder lies, below that of the suite."""
+        parts = [_file_name(value) for value in self.values]
+        return Path(*parts, *([f"seed-{self.seed}"] if self.seed is not None else []))
+
+    @property
+    def name(self) -> str:
+        """What distinguishes it from other runs of its scenario."""
+        return ", ".join([*self.values, *([f"seed {self.seed}"] if self.seed is not None else [])])
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """What came of a case: verdict pass, fail or error; its checks as in result.json, or the message of the error."""
+
+    case: Case
+    verdict: str
+    checks: tuple[Mapping[str, Any], ...] = ()
+    wall_s: float = 0.0
+    message: str = ""
+
+    @property
+    def report(self) -> Path:
+        """Its report, relative to the folder of the suite."""
+        return self.case.folder / self.case.path.stem / "report.html"
+
+
+@dataclass(frozen=True)
+class CheckSummary:
+    """One limit of one check over all runs of a scenario: how often it held, median and worst value, and where that is."""
+
+    name: str
+    quantity: str
+    kind: str
+    limit: float
+    passed: int
+    count: int
+    median: float
+    worst: float
+    worst_run: str
+
+
+def find_cases(given: Sequence[Path], seeds: Sequence[int], values: Sequence[Sequence[str]]) -> list[Case]:
+    """Return a case for each scenario, combination of values and seed.
+
+    Parameters
+    ----------
+    given : sequence of Path
+        Files, names from ``bristle list``, or folders, of which all scenario files are taken (without sub-folders).
+    seeds : sequence of int
+        Seeds of the reference; none: that of the file.
+    values : sequence of sequence of str
+        For each path that varies, its ``path=value``; all combinations are run.
+
+    Raises
+    ------
+    BristleError
+        If nothing is there to run, or two files have one name.
+    """
+    paths = [path for each in given for path in _files(each)]
+    names = [path.stem for path in paths]
+    for path in paths:
+        if names.count(path.stem) > 1:
+            raise BristleError(f"{path}: a scenario '{path.stem}' is given twice; results are named by the file: rename one")
+    return [Case(p, s, v) for p in paths for v in itertools.product(*values) for s in (seeds or (None,))]
+
+
+def run_suite(
+    cases: Sequence[Case], out: Path, options: Options | None = None, jobs: int = 1, progress: Told | None = None
+) -> list[CaseResult]:
+    """Check all scenarios, run all cases and write their result folders; return what came of each, in the order of the cases.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        What to run.
+    out : Path
+        Folder of the suite; each run has one below it.
+    options : Options, optional
+        How to run them; their overrides come before the values of a case.
+    jobs : int
+        Number of processes.
+    progress : function, optional
+        Called with the name of what was done last, how many are done and how many there are.
+
+    Raises
+    ------
+    BristleError
+        Before anything runs, if a scenario cannot be run: one line for each.
+    """
+    options = options or Options()
+    _check(cases, out, options)
+    tell = progress or (lambda name, done, total: None)
+    if jobs == 1:
+        return [_told(run_case(case, out, options), k, len(cases), tell) for k, case in enumerate(cases, 1)]
+    found: dict[Case, CaseResult] = {}
+    with _workers(min(jobs, len(cases))) as pool:
+        waiting: dict[Future[CaseResult], Case] = {pool.submit(run_case, case, out, options): case for case in cases}
+        for k, future in enumerate(as_completed(waiting), 1):
+            case = waiting[future]
+            found[case] = _told(_result(future, case), k, len(cases), tell)
+    return [found[case] for case in cases]
+
+
+def summaries(tested: Sequence[CaseResult]) -> list[CheckSummary]:
+    """Return each limit of each check over runs of one scenario; a value that is not finite is worse than any other."""
+    lines: dict[tuple[str, str, str, float], list[tuple[float, bool, str]]] = {}
+    for each in tested:
+        for c in each.checks:
+            key = (c["name"], c["quantity"], c["kind"], c["limit"])
+            value = c["value"] if c["value"] is not None else math.nan
+            lines.setdefault(key, []).append((value, bool(c["pass"]), each.case.name))
+    found = []
+    for (name, quantity, kind, limit), values in lines.items():
+        worst = max(values, key=lambda each: _badness(each[0], kind))
+        median = statistics.median(abs(v) if kind == "max_abs" else v for v, _, _ in values)
+        passed = sum(held for _, held, _ in values)
+        found.append(CheckSummary(name, quantity, kind, limit, passed, len(values), median, worst[0], worst[2]))
+    return found
+
+
+def by_scenario(tested: Sequence[CaseResult]) -> dict[Path, list[CaseResult]]:
+    """Return the runs of each scenario file."""
+    found: dict[Path, list[CaseResult]] = {}
+    for each in tested:
+        found.setdefault(each.case.path, []).append(each)
+    return found
+
+
+def _badness(value: float, kind: str) -> float:
+    if not math.isfinite(value):
+        return math.inf
+    return -value if kind == "min" else abs(value) if kind == "max_abs" else value
+
+
+# -- running -------------------------------------------------------------------------------------------------------------
+def _files(given: Path) -> list[Path]:
+    """Return the scenario files that a path or a name stands for."""
+    if not given.is_dir():
+        return [find_scenario(given)]
+    found = [path for path in sorted(given.glob("*.toml")) if is_scenario(path)]
+    if not found:
+        raise BristleError(f"{given}: no scenario file in this folder; a scenario is a .toml file with a table [observer]")
+    return found
+
+
+def is_scenario(path: Path) -> bool:
+    """True for a TOML file with a table [observer]; a file that is broken counts, so that its error is seen."""
+    try:
+        return "observer" in read_toml(path, "scenario file")[1]
+    except BristleError:
+        return True
+
+
+def _check(cases: Sequence[Case], out: Path, options: Options) -> None:
+    """Check each scenario with each combination of values, and build its FMUs; raise `BristleError` with all mistakes."""
+    mistakes = []
+    for case in {replace(case, seed=case.seed and 1): case for case in cases}.values():
+        try:
+            check(case.path, out / case.folder, _options(case, options))
+        except BristleError as error:
+            mistakes.append(str(error))
+    if mistakes:
+        raise BristleError("\n".join(mistakes))
+
+
+def _options(case: Case, options: Options) -> Options:
+    return replace(options, overrides=(*options.overrides, *case.values), seed=case.seed if case.seed is not None else options.seed)
+
+
+def run_case(case: Case, out: Path, options: Options | None = None) -> CaseResult:
+    """Run one case and write its result folder; an error of the scenario is a verdict, too."""
+    try:
+        done = run(case.path, out / case.folder, _options(case, options or Options()))
+    except BristleError as error:
+        return CaseResult(case, "error", message=str(error))
+    result = done.result
+    message = result["diverged"]["message"] if "diverged" in result else ""
+    return CaseResult(case, result["verdict"], tuple(result["checks"]), result["wall_s"], message)
+
+
+def _result(future: Future[CaseResult], case: Case) -> CaseResult:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        return CaseResult(case, "error", message=f"{case.path}: a process of this suite was killed; run it again with fewer jobs")
+
+
+def _told(tested: CaseResult, done: int, total: int, tell: Told) -> CaseResult:
+    tell(" ".join([tested.case.path.stem, tested.case.name]).strip(), done, total)
+    return tested
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Give a pool of processes, which end with this one: an interrupt is for the process that waits for them."""
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _ignore_interrupts)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    pool.shutdown()
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _file_name(text: str) -> str:
+    """Return a text as the name of a folder."""
+    return "".join(c if c.isalnum() or c in "=.-_" else "_" for c in text)

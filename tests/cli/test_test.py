@@ -1,0 +1,49 @@
+"""`bristle test`: exit codes, what is printed, and that nothing runs where something cannot."""
+
+import json
+
+SCENARIO = """
+duration = "1 s"
+[plant]
+law = "coulomb"
+[observer]
+method = "rls"
+[[checks]]
+quantity = "states.v.rms"
+max = LIMIT
+"""
+
+
+def test_the_command_runs_seeds_and_values(call, tmp_path):
+    good = tmp_path / "good.toml"
+    good.write_text(SCENARIO.replace("LIMIT", "1e9"), encoding="utf-8")
+    out = tmp_path / "out"
+    code, text, _ = call(
+        "test", good, "--seeds", "1-2", "--vary", "sensor=[clean, encoder]", "-j", "1", "--out", out, "--junit", tmp_path / "j.xml"
+    )
+    assert code == 0, text
+    assert "4 of 4 runs pass" in text
+    tree = json.loads((out / "suite.json").read_text(encoding="utf-8"))
+    assert {(r["seed"], *r["values"]) for r in tree["runs"]} == {(s, f"sensor={k}") for s in (1, 2) for k in ("clean", "encoder")}
+    assert all((out / r["folder"] / "report.html").is_file() for r in tree["runs"])
+    assert "good" in (tmp_path / "j.xml").read_text(encoding="utf-8")
+    strict = tmp_path / "strict.toml"
+    strict.write_text(SCENARIO.replace("LIMIT", "-1"), encoding="utf-8")
+    code, text, _ = call("test", strict, "--quiet", "--out", out)
+    assert code == 1
+    assert "states.v.rms: " in text
+    assert "must be ≤ -1" in text
+
+
+def test_all_mistakes_are_said_before_anything_runs(call, tmp_path):
+    for name, old, new in (("one", "states.v.rms", "states.v.rmsq"), ("two", '"rls"', '"rlss"')):
+        text = SCENARIO.replace("LIMIT", "1").replace(old, new)
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+    code, _, err = call("test", tmp_path, "--out", tmp_path / "out")
+    assert code == 2
+    assert [line.count(".toml:") for line in err.strip().splitlines()] == [1, 1]
+    assert not (tmp_path / "out").exists()
+    for wrong in (("--seeds", "0"), ("--vary", "x"), ("--jobs", "0")):
+        code, _, err = call("test", tmp_path / "one.toml", *wrong, "--out", tmp_path / "out")
+        assert code == 2
+        assert len(err.strip().splitlines()) == 1

@@ -1,0 +1,158 @@
+"""Many runs of scenarios: bristle test, what it writes, and scenario files as items of pytest."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from bristle.common.errors import BristleError
+from bristle.harness.suite import Case, CaseResult, find_cases, run_suite, summaries
+from bristle.harness.suite_report import failures, junit, render, to_tree, verdict
+from bristle.harness.values import seeds_of, values_of
+
+SCENARIO = """
+duration = "2 s"
+sensor = "encoder"
+[plant]
+law = "modified"
+[controller.parameters]
+order = 1
+[observer]
+method = "rls"
+[[checks]]
+quantity = "estimates.b.error_percent"
+max_abs = LIMIT
+"""
+
+
+def scenario(folder: Path, name: str, limit: float = 50.0) -> Path:
+    path = folder / f"{name}.toml"
+    path.write_text(SCENARIO.replace("LIMIT", str(limit)), encoding="utf-8")
+    return path
+
+
+def check(value, kind="max_abs", limit=2.0, holds=True):
+    return {"name": "error", "quantity": "estimates.b.error_percent", "kind": kind, "value": value, "limit": limit, "pass": holds}
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"), [("1-3", [1, 2, 3]), ("1,4,7-9", [1, 4, 7, 8, 9]), (" 2 , 2-3", [2, 3]), ("12", [12])]
+)
+def test_seeds(given, expected):
+    assert seeds_of(given) == expected
+
+
+@pytest.mark.parametrize("given", ["", "0-2", "3-1", "a", "1-", "1;2", "-1", "1-999999999"])
+def test_seeds_that_cannot_be(given):
+    with pytest.raises(BristleError, match="seeds"):
+        seeds_of(given)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("plant.parameters.J=0.001:0.002:3 kg.m2", ["0.001 kg.m2", "0.0015 kg.m2", "0.002 kg.m2"]), ("x.y=1:2:2", ["1", "2"]),
+        ('step=["1 ms", "2 ms"]', ["1 ms", "2 ms"]), ("step=[1 ms, 2 ms]", ["1 ms", "2 ms"]), ("plant.law=[lugre]", ["lugre"]),
+        ("x=[1, 2.5]", ["1", "2.5"]), ("x=[true]", ["true"]),
+    ],
+)  # fmt: skip
+def test_values(given, expected):
+    path = given.partition("=")[0]
+    assert values_of(given) == [f"{path}={value}" for value in expected]
+
+
+@pytest.mark.parametrize("given", ["x", "x=", "=1:2:3", "x=1:2", "x=1:2:0", "x=1:inf:2", "x=a:b:2", "x=[]", "x=[1", "x=1:2:99999"])
+def test_values_that_cannot_be(given):
+    with pytest.raises(BristleError, match="vary"):
+        values_of(given)
+
+
+def test_cases_are_all_combinations(tmp_path):
+    for name in ("one", "two"):
+        scenario(tmp_path, name)
+    (tmp_path / "model.toml").write_text('friction = "coulomb"', encoding="utf-8")  # not a scenario
+    cases = find_cases([tmp_path], [1, 2], [["a=1", "a=2"], ["b=3"]])
+    assert [c.path.stem for c in cases] == ["one"] * 4 + ["two"] * 4
+    assert {(c.seed, c.values) for c in cases} == {(s, (a, "b=3")) for s in (1, 2) for a in ("a=1", "a=2")}
+    assert len({c.folder / c.path.stem for c in cases}) == 8
+    with pytest.raises(BristleError, match="twice"):
+        find_cases([tmp_path, tmp_path / "one.toml"], [], [])
+    with pytest.raises(BristleError, match="no scenario file"):
+        find_cases([Path(__file__).parent], [], [])
+
+
+def test_the_worst_value_is_that_next_to_or_beyond_its_limit():
+    runs = [
+        CaseResult(Case(Path("s.toml"), k), "pass", (check(v), check(v, "min", -5.0))) for k, v in enumerate((1.0, -3.0, 0.5), 1)
+    ]
+    largest, smallest = summaries(runs)
+    assert (largest.worst, largest.worst_run, largest.median, largest.count) == (-3.0, "seed 2", 1.0, 3)
+    assert (smallest.worst, smallest.worst_run, smallest.median) == (-3.0, "seed 2", 0.5)
+    [lost, _] = summaries([*runs, CaseResult(Case(Path("s.toml"), 4), "fail", (check(None, holds=False), check(0.0, "min", -5.0)))])
+    assert (lost.passed, lost.count, lost.worst_run) == (3, 4, "seed 4")  # a number that does not exist is the worst
+
+
+@pytest.mark.slow
+def test_one_process_and_two_give_the_same(tmp_path):
+    paths = [scenario(tmp_path, "good"), scenario(tmp_path, "strict", 1e-9)]
+    cases = find_cases(paths, [1, 2], [])
+    alone = run_suite(cases[::3], tmp_path / "alone", jobs=1)
+    told = []
+    both = run_suite(cases, tmp_path / "both", jobs=2, progress=lambda *given: told.append(given))
+    assert [(t.case, t.verdict, t.checks) for t in alone] == [(t.case, t.verdict, t.checks) for t in both[::3]]
+    assert [t.verdict for t in both] == ["pass", "pass", "fail", "fail"]
+    assert [done for _, done, _ in told] == [1, 2, 3, 4]
+    assert both[0].checks[0]["value"] != both[1].checks[0]["value"]  # another seed
+    for t in both:
+        folder = (tmp_path / "both" / t.report).parent
+        result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+        assert (result["verdict"], result["provenance"]["seed"]) == (t.verdict, t.case.seed)
+    [text] = failures(both[2])
+    assert "estimates.b.error_percent" in text
+    assert "must be |·| ≤ 1e-09" in text
+    tree = to_tree(both, {})
+    assert (tree["verdict"], [r["verdict"] for r in tree["runs"]]) == ("fail", ["pass", "pass", "fail", "fail"])
+    root = ElementTree.fromstring(junit(both))
+    assert [(s.get("tests"), s.get("failures"), s.get("errors")) for s in root] == [("2", "0", "0"), ("2", "2", "0")]
+    page = render(both, {})
+    assert all(t.report.as_posix() in page for t in both)
+    assert "2 of 4 runs pass" in page
+
+
+def test_nothing_runs_where_one_scenario_cannot(tmp_path):
+    good, bad = scenario(tmp_path, "good"), scenario(tmp_path, "bad")
+    bad.write_text(bad.read_text(encoding="utf-8").replace("error_percent", "eror_percent"), encoding="utf-8")
+    with pytest.raises(BristleError, match="did you mean"):
+        run_suite(find_cases([good, bad], [], []), tmp_path / "out")
+    assert not list(tmp_path.glob("out/**/result.json"))
+
+
+def test_an_error_of_one_run_is_a_verdict_of_its_own():
+    broken = CaseResult(Case(Path("s.toml")), "error", message="s.toml: the disk is full")
+    assert verdict([broken, CaseResult(Case(Path("t.toml")), "fail")]) == "error"
+    root = ElementTree.fromstring(junit([broken]))
+    assert root[0][0][0].tag == "error"
+    assert to_tree([broken], {})["runs"][0]["folder"] is None
+    assert "the disk is full" in render([broken], {})
+
+
+@pytest.mark.slow
+def test_pytest_collects_scenario_files_and_shows_the_verdict_table(tmp_path):
+    scenario(tmp_path, "good")
+    scenario(tmp_path, "strict", 1e-9)
+    (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\n", encoding="utf-8")
+    (tmp_path / "broken.toml").write_text("this is [no TOML", encoding="utf-8")
+    command = [
+        sys.executable, "-m", "pytest", "-p", "no:bristle", "-p", "bristle.harness.pytest_plugin", "-p", "no:cacheprovider",
+        "-n", "2", str(tmp_path), "--bristle-out", str(tmp_path / "out"),
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "1 failed, 1 passed" in done.stdout
+    assert "estimates.b.error_percent" in done.stdout
+    assert "FAIL" in done.stdout
+    assert "Traceback" not in done.stdout
+    assert {p.parent.name for p in (tmp_path / "out").glob("*/result.json")} == {"good", "strict"}
