@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from bristle.common.html import badge, identifier, number, page, table, unit
 from bristle.common.output import plain
 from bristle.harness.metrics import check_unit
-from bristle.harness.suite import CheckSummary, CaseResult, by_scenario, summaries
+from bristle.harness.suite import CaseResult, CheckSummary, by_scenario, summaries
 
 SIGNS = {"min": "≥", "max": "≤", "max_abs": "|·| ≤"}
 BADGES = {"pass": "good", "fail": "bad", "error": "bad"}
