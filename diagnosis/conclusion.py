@@ -24,7 +24,7 @@ from bristle.diagnosis.report.text import Facts, experiment, open_loop_line, sta
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
-from bristle.diagnosis.selection.effect_size import fall
+from bristle.diagnosis.selection.effect_size import fall_in_all
 from bristle.diagnosis.selection.stepwise import SearchOutcome
 from bristle.plant.effects import effect as find_effect
 from bristle.records.record import Record
@@ -61,7 +61,7 @@ class Comparison:
     def of(cls, case: Case, final: FittedModel) -> Comparison:
         """Return the comparison of the model that the search ended with."""
         held_out = case.dataset.held_out
-        error_fall = fall(squares(case.base.fit, held_out), squares(final.fit, held_out))
+        error_fall = fall_in_all(squares(case.base.fit, held_out), squares(final.fit, held_out))
         return cls(*localise(case.dataset, case.base, final), gap_between(case, final), error_fall)
 
     def left(self, case: Case, final: FittedModel, named: Sequence[str]) -> Unexplained:
@@ -392,7 +392,7 @@ def _round(v: SearchRound) -> answer.Round:
     for c in v.candidates:
         gain = c.fit.total - v.base if c.fit else math.nan
         a = c.assessment
-        tested = () if a is None else (a.error_reduction, a.predictive_gain, *a.deficit)
+        tested = () if a is None else (a.error_reduction, a.predictive_gain, a.net_share, *a.deficit)
         bars.append(answer.Candidate(c.name, gain, v.null.level(c.name), c.reason, *tested))
     bars.sort(key=lambda bar: math.inf if math.isnan(bar.gain) else -bar.gain)
     best = v.best.name if v.best else None

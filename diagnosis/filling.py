@@ -9,7 +9,7 @@ from bristle.diagnosis.estimation.likelihood import mean_square
 from bristle.diagnosis.localisation.unnamed_torque import Curve, fill
 from bristle.diagnosis.report import result as answer
 from bristle.diagnosis.report.text import unnamed_line, view_name
-from bristle.diagnosis.selection.effect_size import LEAST_FALL, fall
+from bristle.diagnosis.selection.effect_size import LEAST_FALL, fall_in_all
 
 MOST_CURVES = 2  # variables that an unexplained residual is taken for a sum of functions of
 
@@ -26,7 +26,7 @@ def unnamed_torque(case: Case, found: Conclusion) -> answer.UnnamedTorque | None
     curves: list[Curve] = []
     refused: tuple[Curve, float] | None = None
     while len(curves) < MOST_CURVES and (filled := fill(dataset, model)) is not None:
-        falls = fall(filled.before, filled.after)
+        falls = fall_in_all(filled.before, filled.after)
         if falls < LEAST_FALL:
             refused = filled.curve, falls
             break

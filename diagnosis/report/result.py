@@ -39,8 +39,9 @@ class Candidate:
     gain: float  # rise of the log-likelihood [nats]; NaN (null in diagnosis.json) if it was not tried
     level: float  # rise that chance reaches [nats]
     note: str = ""  # why it was not tried
-    size: float | None = None  # factor by which the mean squared error falls
+    size: float | None = None  # factor by which the mean squared error falls where it acts
     kept: float | None = None  # gain of the log predictive density of all segments, each under parameters fitted without it [nats]
+    net: float | None = None  # of these gains and losses of segments: share that is left of the gains
     behind: float | None = None  # log-likelihood of the best candidate above that of this one [nats]
     doubt: float | None = None  # its standard error [nats]
 
@@ -55,7 +56,7 @@ class Round:
     added: str | None  # the effect that was added
     decision: str  # with its reason
     gain: float = 0.0  # of the best candidate under the noise that it leaves [nats]
-    size: float = 1.0  # factor by which the best candidate lowers the mean squared error
+    size: float = 1.0  # factor by which the best candidate lowers the mean squared error where it acts
     finer: float | None = None  # the gain with finer steps of the simulation
     rejected: str | None = None  # the best candidate, if it was not added for a reason of its own
 

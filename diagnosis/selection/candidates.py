@@ -15,7 +15,7 @@ from bristle.diagnosis.estimation.likelihood import Fit, Point, evaluate, rescor
 from bristle.diagnosis.estimation.optimiser import FIT_ITERATIONS, refit_nonsmooth, refit_rescored, value_under_noise
 from bristle.diagnosis.estimation.simulator import Simulator, free_parameters
 from bristle.diagnosis.localisation.residual_response import directions
-from bristle.diagnosis.selection.effect_size import LEAST_FALL
+from bristle.diagnosis.selection.effect_size import LEAST_FALL, LEAST_NET_SHARE
 from bristle.diagnosis.selection.null_distribution import Null, largest_gain
 from bristle.diagnosis.selection.start_values import SearchContext, Start, bristle_starts
 from bristle.plant.effects import effect as find_effect
@@ -50,8 +50,9 @@ class Assessment:
     """What an effect is worth, compared with the model without it."""
 
     level: float = 0.0  # gain that chance reaches [nats]
-    error_reduction: float = 1.0  # factor by which the mean squared error falls
+    error_reduction: float = 1.0  # factor by which the mean squared error falls where the effect acts
     predictive_gain: float = 0.0  # of the log predictive density of all segments, each under parameters fitted without it [nats]
+    net_share: float = 0.0  # of the gains and losses of all segments that is gain
     deficit: tuple[float, float] = (0.0, 0.0)  # by how much the best candidate is likelier, and the standard error of that [nats]
 
     @property
@@ -65,9 +66,23 @@ class Assessment:
         return self.predictive_gain > self.level
 
     @property
+    def consistent(self) -> bool:
+        """True if few segments become less likely."""
+        return self.net_share >= LEAST_NET_SHARE
+
+    @property
     def accepted(self) -> bool:
         """True if the effect meets the criterion."""
-        return self.large_enough and self.confirmed
+        return self.large_enough and self.confirmed and self.consistent
+
+    @property
+    def objection(self) -> str:
+        """Which part of the criterion the effect does not meet, or an empty text."""
+        if not self.large_enough:
+            return "lowers the squared error too little"
+        if not self.confirmed:
+            return "does not make segments likelier that its parameters were not fitted to"
+        return "" if self.consistent else "makes too many segments less likely"
 
 
 @dataclass(frozen=True)

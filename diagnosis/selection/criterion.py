@@ -17,7 +17,7 @@ from bristle.diagnosis.estimation.likelihood import Fit, Problem, squares
 from bristle.diagnosis.estimation.optimiser import ROUGH_STOP_GAIN, refit, refit_nonsmooth, resume
 from bristle.diagnosis.selection.candidates import OUT_OF_TIME, Assessment, Candidate
 from bristle.diagnosis.selection.discretisation import finer_gain
-from bristle.diagnosis.selection.effect_size import fall, predictive_density
+from bristle.diagnosis.selection.effect_size import fall, net_share, predictive_density
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.start_values import SearchContext
 from bristle.plant.effects import effects as all_effects
@@ -157,8 +157,9 @@ class Comparison:
 
     def assess(self, fit: Fit, level: float) -> Assessment:
         """Return what a model with the effect is worth; `level` is the gain that chance reaches [nats]."""
-        predicted = float((predictive_density(self.held_out, fit) - self.density).sum())
-        return Assessment(level, fall(self.squares, squares(fit, self.train)), predicted)
+        gains = predictive_density(self.held_out, fit) - self.density
+        falls = fall(self.squares, squares(fit, self.train), np.abs(gains[self.train]))
+        return Assessment(level, falls, float(gains.sum()), net_share(gains))
 
 
 # -- the best one, and ties ----------------------------------------------------------------------------------------------

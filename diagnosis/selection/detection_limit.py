@@ -12,7 +12,6 @@ from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.plant.effects import effect as find_effect
 
-NOT_CONFIRMED = "does not make segments likelier that its parameters were not fitted to"
 LARGEST_LIMIT = 1e5  # SI unit of the parameter: a limit beyond this says that the records cannot show the effect
 
 
@@ -38,10 +37,8 @@ def _failed(c: Candidate) -> str:
     """Return why a candidate that gains more than chance was not added."""
     if c.assessment is None:  # it was not compared on held-out segments
         return "gains far less than another effect, or only with values that are not credible"
-    if not c.assessment.large_enough:
-        return "lowers the squared error too little"
-    if not c.assessment.confirmed:
-        return NOT_CONFIRMED
+    if c.assessment.objection:
+        return c.assessment.objection
     return "explains the residual less well than another effect" if c.assessment.deficit[0] > 0 else "was rejected by the search"
 
 

@@ -9,19 +9,41 @@ from bristle.diagnosis.estimation.likelihood import Fit, Problem
 from bristle.diagnosis.estimation.optimiser import damped, gradient_of, refit_initial_states
 from bristle.diagnosis.estimation.simulator import Free
 
-LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error
+LEAST_FALL = 1.2  # factor by which an effect must lower the mean squared error where it acts
+LARGEST_FALL = 10.0  # most that the error of one segment counts as lowered, or raised, by
 OUTLIER_QUARTILES = 10.0  # times the upper quartile of the segments' squared errors: most that one segment counts for
+LEAST_NET_SHARE = 0.5  # of all changes of the segments' predictions: least that is left of the gains after the losses
 FOLD_DAMPING = 1e-9  # relative increase of each curvature, so that what one segment alone shows can be solved for
 EVEN_VARIANCE = 1.0 / 12.0  # of what is anywhere in an interval of length 1 with the same probability
 
 
-def fall(before: Array, after: Array) -> float:
+def fall(before: Array, after: Array, acts: Array) -> float:
+    """Return by which factor the mean squared errors of segments (segments,) fall on average, weighted by `acts`.
+
+    `acts`: how much the prediction of each segment changes. A stop that is met in one segment is as large as a cogging in all of
+    them; and where a servo sticks and slips, a few segments that diverge by chance would make up most of a ratio of sums.
+    """
+    tiny = np.finfo(float).tiny
+    falls = np.clip(np.maximum(before, tiny) / np.maximum(after, tiny), 1.0 / LARGEST_FALL, LARGEST_FALL)
+    return float(np.average(falls, weights=acts)) if acts.any() else 1.0
+
+
+def fall_in_all(before: Array, after: Array) -> float:
     """Return by which factor mean squared errors of segments (segments,) fall, with outliers clipped.
 
     Where a servo sticks and slips, a few segments that diverge by chance make up most of the mean.
     """
     most = OUTLIER_QUARTILES * max(float(np.quantile(after, 0.75)), 1e-300)
     return float(np.minimum(before, most).sum() / np.minimum(after, most).sum())
+
+
+def net_share(gains: Array) -> float:
+    """Return what is left of the gains of segments (segments,) after the losses of others, over gains and losses together.
+
+    An effect that is there makes the segments likelier in which it acts. One that stands in for something else, or for the form of
+    one found before, makes some likelier and others less likely.
+    """
+    return float(gains.sum()) / max(float(np.abs(gains).sum()), np.finfo(float).tiny)
 
 
 def predictive_density(held_out: Problem, fit: Fit) -> Array:
@@ -42,11 +64,11 @@ def predictive_density(held_out: Problem, fit: Fit) -> Array:
 
 
 def left_out_loss(own: Array, pull: Array, gradient: Array, information: Array) -> Array:
-    """Return how much likelier each segment is in the common fit than under the parameters that the others give (segments,) [nats].
+    """Return how much likelier each segment is in the common fit than under what the others say (segments,) [nats].
 
-    The parameters are integrated out, so that what a segment alone shows costs the size of the interval where it was looked for, and
-    not what a wrong guess would. `own` (segments, k, k), `pull` (segments, k): information and gradient of each segment at the fit;
-    `information` (k, k), `gradient` (k,): those of all, prior knowledge included.
+    The parameters are integrated out, so that what a segment alone shows costs the size of the interval where it was looked for,
+    and not what a wrong guess would. `own` (segments, k, k), `pull` (segments, k): information and gradient of each segment at the
+    fit; `information` (k, k), `gradient` (k,): those of all, prior knowledge included.
 
     Source: tierney1986 (integrals by the curvature at their maxima).
     """

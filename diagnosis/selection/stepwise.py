@@ -18,7 +18,6 @@ from bristle.diagnosis.selection.candidates import (
     HOPEFUL_LEVELS,
     OUT_OF_TIME,
     QUICK,
-    Assessment,
     Candidate,
     Effort,
     fit_candidates,
@@ -28,7 +27,6 @@ from bristle.diagnosis.selection.criterion import (
     accept_or_reject,
     group,
 )
-from bristle.diagnosis.selection.detection_limit import NOT_CONFIRMED
 from bristle.diagnosis.selection.discretisation import numerical
 from bristle.diagnosis.selection.null_distribution import Null
 from bristle.diagnosis.selection.refinement import (
@@ -142,7 +140,7 @@ def decide(context: SearchContext, found: SearchRound) -> SearchRound:
     assert found.best is not None
     name = found.best.name
     if not found.assessment.accepted:
-        return found.rejected(f"'{name}' {_why_rejected(found.assessment)}")
+        return found.rejected(f"'{name}' is significant, but {found.assessment.objection}")
     if is_wave_harmonic(context.dataset, context.fitted, found.best):
         return found.rejected(f"'{name}' may only correct the shape of an effect that was added")
     if found.untried:
@@ -193,11 +191,6 @@ def retry_with_shape(context: SearchContext, found: SearchRound) -> SearchRound:
         return found
     tried = [replace(c, fit=end.fit) if c.name == found.best.name else c for c in found.candidates]
     return accept_or_reject(context, tried, [c for c in tried if c.assessment is not None], found.null)
-
-
-def _why_rejected(assessment: Assessment) -> str:
-    """Return what is wrong with a best candidate that is not accepted."""
-    return NOT_CONFIRMED if assessment.large_enough else "is significant, but lowers the squared error too little"
 
 
 def needs_exhaustive_search(dataset: Dataset, fitted: FittedModel) -> bool:

@@ -22,7 +22,7 @@ from bristle.diagnosis.localisation.views import clocks
 from bristle.diagnosis.preparation import base_servo_of
 from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, Assessment, Candidate
 from bristle.diagnosis.selection.criterion import Comparison, is_tied, simplest
-from bristle.diagnosis.selection.effect_size import fall, left_out_loss, predictive_density
+from bristle.diagnosis.selection.effect_size import fall, fall_in_all, left_out_loss, net_share, predictive_density
 from bristle.diagnosis.selection.refinement import add_effect, is_wave_harmonic
 from bristle.diagnosis.selection.start_values import SearchContext, SearchOptions, bristle_starts, joint_starts_of
 from bristle.diagnosis.selection.stepwise import (
@@ -45,15 +45,44 @@ def test_what_diverges_by_chance_does_not_hide_a_fall_of_the_error():
     before = 1.5 * after
     before[50] = after[50] = 400.0
     assert float(before.sum() / after.sum()) < 1.1
-    assert fall(before, after) == pytest.approx(1.5, rel=0.1)
+    assert fall_in_all(before, after) == pytest.approx(1.5, rel=0.1)
+    assert fall(before, after, np.ones(75)) == pytest.approx(1.5, rel=0.01)
+
+
+def test_the_fall_of_the_error_is_that_where_an_effect_acts():
+    """In one segment of 75 as in all of them; and one that is simulated to the last bit does not make up for the others."""
+    before, after = np.full(75, 2.0), np.full(75, 2.0)
+    after[7] = 1.0
+    acts = np.zeros(75)
+    acts[7] = 40.0
+    assert fall(before, after, acts) == pytest.approx(2.0)
+    assert fall(before, after, np.ones(75)) == pytest.approx(76 / 75)
+    after[7] = 0.0
+    acts[:] = 1.0
+    assert fall(before, after, acts) == pytest.approx(84 / 75)
+    assert fall(after, before, acts) == pytest.approx(74.1 / 75)
+    assert fall(before, after, np.zeros(75)) == 1.0  # nothing changes
 
 
 @pytest.mark.parametrize(
-    ("falls", "predicted", "accepted"), [(1.3, 30, True), (1.3, 19, False), (1.1, 3000, False), (3.0, -1, False)]
+    ("gains", "share"), [([3.0, 1.0], 1.0), ([3.0, -1.0], 0.5), ([1.0, -1.0], 0.0), ([0.0, 0.0], 0.0), ([-2.0], -1.0)]
 )
-def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives(falls, predicted, accepted):
-    """However much of the one, it does not take the place of the other."""
-    assert Assessment(20.0, falls, predicted).accepted is accepted
+def test_losses_of_some_segments_count_against_the_gains_of_others(gains, share):
+    assert net_share(np.array(gains)) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    ("falls", "predicted", "net", "objection"),
+    [
+        (1.3, 30, 0.8, ""), (1.3, 19, 0.8, "likelier that its parameters"), (1.1, 3000, 1.0, "squared error too little"),
+        (3.0, -1, 0.8, "likelier that its parameters"), (3.0, 3000, 0.45, "less likely"),
+    ],
+)  # fmt: skip
+def test_an_effect_lowers_the_error_and_predicts_more_than_chance_gives_with_few_losses(falls, predicted, net, objection):
+    """However much of the one, it does not take the place of another."""
+    assessment = Assessment(20.0, falls, predicted, net)
+    assert assessment.accepted is (objection == "")
+    assert objection in assessment.objection
 
 
 @pytest.mark.parametrize("name", ["bias", "hard_stop"])
@@ -68,8 +97,8 @@ def test_the_criterion_asks_segments_that_no_parameter_was_fitted_to(case, name)
     assert mine.accepted
     measured = problem.measured - np.where(train[:, None], 0.0, plain.residual)
     spoilt = Comparison.of(made.dataset, replace(problem, measured=measured), plain).assess(fit, found.level)
-    assert spoilt.error_reduction == mine.error_reduction
     assert spoilt.predictive_gain < mine.predictive_gain - 2
+    assert spoilt.net_share < mine.net_share
     assert not comparison.assess(plain, 0.0).accepted  # nothing added
 
 
