@@ -100,7 +100,7 @@ def replace_files(out: Path, content: Mapping[str, bytes], names: Sequence[str])
     out : Path
         The folder, which exists.
     content : mapping of str to bytes
-        The files by name.
+        The files by name, which may begin with a sub-folder.
     names : sequence of str
         All names that belong to the writer: files of these names that are not in `content` go.
 
@@ -120,6 +120,7 @@ def replace_files(out: Path, content: Mapping[str, bytes], names: Sequence[str])
             fresh.mkdir()
             old.mkdir()
             for name, data in content.items():
+                (fresh / name).parent.mkdir(parents=True, exist_ok=True)
                 write_file(fresh / name, data)
             _exchange(fresh, out, old, names)
     except OSError as error:
@@ -133,13 +134,15 @@ def _exchange(fresh: Path, out: Path, old: Path, names: Sequence[str]) -> None:
     try:
         for name in names:
             if (out / name).exists():
+                (old / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(out / name, old / name)
             if (fresh / name).exists():
+                (out / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(fresh / name, out / name)
                 placed.append(name)
     except BaseException:
         for name in placed:
             os.unlink(out / name)
-        for path in old.iterdir():
-            os.replace(path, out / path.name)
+        for path in (each for each in old.rglob("*") if each.is_file()):
+            os.replace(path, out / path.relative_to(old))
         raise

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
 import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 from bristle.common.errors import BristleError
 
@@ -14,13 +16,20 @@ ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # time stamp of all files: the earliest on
 ARCHIVE_PERMISSIONS = 0o100644 << 16
 
 
-def _fill(path: Path, files: Mapping[str, bytes]) -> None:
+def _fill(path: Path | BinaryIO, files: Mapping[str, bytes]) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         for name in sorted(files):
             entry = zipfile.ZipInfo(name, ARCHIVE_TIME)
             entry.create_system = 3  # Unix, whatever machine builds it
             entry.external_attr = ARCHIVE_PERMISSIONS
             archive.writestr(entry, files[name], zipfile.ZIP_DEFLATED, 9)
+
+
+def archive_bytes(files: Mapping[str, bytes]) -> bytes:
+    """Return the ZIP archive of `files` (name -> content)."""
+    buffer = io.BytesIO()
+    _fill(buffer, files)
+    return buffer.getvalue()
 
 
 def write_archive(out: Path, files: Mapping[str, bytes]) -> Path:

@@ -16,7 +16,7 @@ from bristle.harness.metrics import check_unit
 from bristle.harness.suite import CaseResult, CheckSummary, by_scenario, summaries
 
 SIGNS = {"min": "≥", "max": "≤", "max_abs": "|·| ≤"}
-BADGES = {"pass": "good", "fail": "bad", "error": "bad"}
+VERDICT_BADGES = {"pass": "good", "fail": "bad", "error": "bad"}
 
 
 def verdict(tested: Sequence[CaseResult]) -> str:
@@ -76,7 +76,7 @@ def junit(tested: Sequence[CaseResult]) -> bytes:
 def render(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> str:
     """Return index.html: each scenario with its checks over all runs, and all runs with links to their reports."""
     passed = sum(each.verdict == "pass" for each in tested)
-    head = badge(BADGES[verdict(tested)], f"{passed} of {len(tested)} runs pass")
+    head = badge(VERDICT_BADGES[verdict(tested)], f"{passed} of {len(tested)} runs pass")
     parts = [f"<header><h1>Scenario suite {head}</h1></header>", "<h2>Scenarios</h2>", _overview(tested)]
     parts += [_scenario(path, runs) for path, runs in by_scenario(tested).items()]
     rows = [f"<dt>{key}</dt><dd>{escape(str(value))}</dd>" for key, value in provenance.items()]
@@ -106,7 +106,7 @@ def _scenario(path: Path, runs: Sequence[CaseResult]) -> str:
     for each in runs:
         name = escape(each.case.name or path.stem)
         link = name if each.verdict == "error" else f'<a href="{quote(each.report.as_posix())}">{name}</a>'
-        rows.append((link, badge(BADGES[each.verdict], each.verdict), "<br>".join(map(escape, failures(each)))))
+        rows.append((link, badge(VERDICT_BADGES[each.verdict], each.verdict), "<br>".join(map(escape, failures(each)))))
     listed = table(("run", "", "what does not hold"), rows)
     many = len(runs) > 1
     return "\n".join([*parts, f"<details><summary>All {len(runs)} runs</summary>{listed}</details>" if many else listed])

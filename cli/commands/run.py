@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 @app.command(short_help="Run scenarios, and compare estimates with true values.")
 def run(
-    scenarios: Annotated[list[Path], typer.Argument(help="files, or names from bristle list", metavar="SCENARIO", parser=path_of)],
+    scenarios: Annotated[
+        list[Path], typer.Argument(help="files, names from bristle list, or .ssp packages", metavar="SCENARIO", parser=path_of)
+    ],
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
@@ -32,6 +34,11 @@ def run(
     from bristle.common.output import output_folder
     from bristle.harness.run import Options
 
+    packages = [path for path in scenarios if path.suffix == ".ssp"]
+    if packages:
+        if len(packages) < len(scenarios) or set_ or seed is not None:
+            raise BristleError("an .ssp file is run as it is: without scenario files beside it, --set and --seed")
+        raise typer.Exit(max(_replayed(path, out, timeout, debug) for path in packages))
     _refuse_duplicates(scenarios)
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
     with output_folder(out):
@@ -39,6 +46,22 @@ def run(
         ready = [each for each in checked if each is not None]
         worst = max(_executed(each, debug) for each in ready) if len(ready) == len(checked) else ERROR
         raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
+
+
+def _replayed(path: Path, out: Path, timeout: float | None, debug: bool) -> int:
+    """Run a package, print its verdict or its error, and return the exit code."""
+    from bristle.harness.kit import replay
+
+    try:
+        with progress(path.stem) as tell:
+            done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
+    except BristleError as error:
+        complain(error, debug)
+        return ERROR
+    held = sum(each.holds for each in done.agreement)
+    what = f"{held} of {len(done.agreement)} signals agree with the reference" if done.compared else "holds no reference"
+    print(f"{path.stem:<24} {'pass' if done.passed else 'fail'}  {done.folder / 'report.html'}  {done.failure or what}")
+    return PASS if done.passed else FAIL
 
 
 def _checked(path: Path, out: Path, options: Options, debug: bool) -> Checked | None:

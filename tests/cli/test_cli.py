@@ -160,6 +160,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "build",
         "run",
         "test",
+        "export",
         "reproduce",
         "init",
         "diagnose",

@@ -1,0 +1,38 @@
+"""`bristle export`: a scenario as one file for another lab."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bristle.cli.app import PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, app, path_of
+from bristle.cli.terminal import progress
+
+
+@app.command(
+    short_help="Write a scenario as one file for another lab (SSP).",
+    epilog="bristle run KIT.ssp runs such a file again, also one of another maker.",
+)
+def export(
+    scenario: Annotated[Path, typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of)],
+    out: Annotated[Path, typer.Option(help="folder for the package", metavar="FOLDER", parser=path_of)] = Path("kit"),
+    kind: KindOption = Kind.native,
+    fmi: FmiOption = Fmi.two,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
+    platforms: Annotated[str, typer.Option(help="host, all, or names such as win64,linux64", metavar="PLATFORMS")] = "host",
+    debug: DebugOption = False,
+) -> int:
+    """Write FOLDER/SCENARIO.ssp with its FMUs, reference signals, verdict, and a page for who receives it."""
+    from bristle.harness.catalogue import find_scenario
+    from bristle.harness.kit import export as write
+    from bristle.harness.run import Options
+
+    options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed)
+    with progress(scenario.stem) as tell:
+        tell("building FMUs and running them once", 0, 0)
+        package = write(find_scenario(scenario), out, options, platforms)
+    print(f"{package}  for who receives it: {out / 'README.md'}")
+    return PASS

@@ -1,0 +1,343 @@
+"""A scenario as one file for another lab (SSP with its FMUs, reference signals and verdict), and the replay of such files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.common.errors import BristleError, suggest
+from bristle.common.html import badge, identifier, number, page, table
+from bristle.common.output import output_folder, plain, replace_files, to_json
+from bristle.common.provenance import provenance
+from bristle.fmus.host import Fmu
+from bristle.fmus.pack import archive_bytes
+from bristle.harness import results
+from bristle.harness.isolate import simulate_isolated
+from bristle.harness.kit_readme import readme
+from bristle.harness.loop import Bus, Instance, Port, Trace, simulate
+from bristle.harness.plan import Setup
+from bristle.harness.run import Checked, Options, check, outcome
+from bristle.harness.ssp import CSV_TYPE, FMU_TYPE, STEPS_BY_DEFAULT, Component, Package, SystemStructure, package_files
+
+Array = NDArray[np.float64]
+
+REFERENCE = "resources/reference/signals.csv"
+VERDICT = "resources/reference/verdict.json"
+STIMULI = "stimuli"
+MOST_ROWS = 2001  # of the reference signals
+REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
+MOST_STEPS = 10_000_000
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far a signal is from its reference: largest difference over the range, and when; None if the signal is missing."""
+
+    name: str
+    worst: float | None
+    time: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is within the tolerance."""
+        return self.worst is not None and self.worst <= REPLAY_TOLERANCE
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A replayed package: its signals against the reference, if it has one, and where the results are."""
+
+    folder: Path
+    agreement: tuple[Agreement, ...]
+    failure: str = ""
+    compared: bool = True
+
+    @property
+    def passed(self) -> bool:
+        """Whether it ran to its end and every signal agrees."""
+        return not self.failure and all(each.holds for each in self.agreement)
+
+
+# -- export --------------------------------------------------------------------------------------------------------------
+def export(path: Path, out: Path, options: Options | None = None, platforms: str = "host") -> Path:
+    """Write a scenario as `out/<scenario>.ssp`, with fmus/, reference/ and README.md beside it; return the package.
+
+    Parameters
+    ----------
+    path : Path
+        The scenario file.
+    out : Path
+        The folder.
+    options : Options, optional
+        As of `bristle.run`.
+    platforms : str
+        What the FMUs are compiled for, as of `bristle.build`.
+
+    Raises
+    ------
+    BristleError
+        One line; nothing is written then.
+    """
+    with output_folder(out):
+        checked = check(path, out, options)
+        setup = checked.setup
+        if setup.samples is not None:
+            raise setup.loaded.error("record", None, "a measured record is no co-simulation; export a scenario with a [plant]")
+        if setup.scenario.controller.compensation != "none":
+            raise setup.loaded.error(
+                "controller.compensation", None, "estimates that reach the controller are not exported; write none"
+            )
+        with tempfile.TemporaryDirectory(prefix="bristle-kit-") as folder:
+            fmus = {name: _own_fmu(setup, name, Path(folder), platforms) for name in setup.fmus}
+            if setup.stimuli and not _tabulated(setup):
+                fmus[STIMULI] = _source_fmu(setup, Path(folder), platforms)
+            bus = _bus_of(
+                checked.bus, {name: Fmu(file, setup.fmus[name].foreign) for name, file in fmus.items() if name in setup.fmus}
+            )
+            trace = simulate_isolated(bus) if bus.risky else simulate(bus)
+            if trace.failure is not None:
+                raise BristleError(
+                    f"{path}: the run ends at {trace.failure.time:g} s: {trace.failure.message}; export one that ends well"
+                )
+            files = {f"fmus/{name}.fmu": file.read_bytes() for name, file in fmus.items()}
+        system = _system(setup, bus)
+        content = _content(checked, system, trace)
+        inside = {f"resources/{name.removeprefix('fmus/')}": data for name, data in files.items()}
+        package = archive_bytes(package_files(system) | inside | content)
+        written = {f"{setup.loaded.name}.ssp": package, "README.md": readme(system, setup.loaded.name, REPLAY_TOLERANCE).encode()}
+        written |= files | {name.removeprefix("resources/"): data for name, data in content.items()}
+        replace_files(out, written, list(written))
+    return out / f"{setup.loaded.name}.ssp"
+
+
+def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
+    """Return the FMU of a unit with the scenario's parameters as start values; one from elsewhere as it is."""
+    from bristle.fmus import build
+
+    fmu, target = setup.fmus[name], folder / f"{name}.fmu"
+    if fmu.foreign:
+        target.write_bytes(fmu.path.read_bytes())
+        return target
+    scenario = setup.scenario
+    plant, method = scenario.plant, scenario.observer.method
+    chosen: dict[str, Any] = {"law": plant.law, "effects": plant.effects} if name == "plant" and plant else {}
+    chosen |= {"method": method} if name == "observer" else {}
+    version = int(str(fmu.description.fmiVersion)[0])
+    return build(name, target, fmi=version, kind=fmu.kind, parameters=_numbers(setup, name), platforms=platforms, **chosen)
+
+
+def _tabulated(setup: Setup) -> bool:
+    """True if an input is noise, which only a table gives; many tools take no table for a component."""
+    return any(each.noise is not None for each in setup.stimuli)
+
+
+def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
+    """Return an FMU of the stimuli."""
+    from bristle.fmus.source import Source, build_source
+
+    sources = []
+    for each in setup.stimuli:
+        levels = tuple((step * setup.h, level) for step, level in each.levels)
+        sine = None if each.sine is None else (each.sine[1], each.sine[0].frequency, each.sine[0].phase)
+        sources.append(Source(each.variable, setup.fmus[each.unit].unit(each.variable), each.start, levels, sine))
+    return build_source(sources, setup.h, folder / f"{STIMULI}.fmu", platforms=platforms)
+
+
+def _numbers(setup: Setup, name: str) -> dict[str, float]:
+    """Return the values of a unit's parameters, without the choice of law or method."""
+    return {key: float(value) for key, value in setup.values[name].items() if key not in ("law", "method")}
+
+
+def _bus_of(bus: Bus, fmus: Mapping[str, Fmu]) -> Bus:
+    """Return the bus with the FMUs of the kit, which need no values."""
+    instances = tuple(
+        Instance(each.name, fmus[each.name], each.values if each.fmu.foreign else {}) for each in bus.instances
+    )  # fmt: skip
+    return replace(bus, instances=instances, flags=())
+
+
+def _system(setup: Setup, bus: Bus) -> SystemStructure:
+    links = list(bus.links)
+    components = []
+    for each in bus.instances:
+        values = dict(each.values) or _numbers(setup, each.name)
+        connectors = {name: "input" for name in each.fmu.names("input") if each.fmu.is_real(name)}
+        connectors |= {name: "output" for name in each.fmu.names("output") if each.fmu.is_real(name)}
+        connectors |= dict.fromkeys(values, "parameter")
+        components.append(Component(each.name, f"resources/{each.name}.fmu", connectors, values))
+    if setup.stimuli:
+        names, (suffix, kind) = {each.variable: "output" for each in setup.stimuli}, ("fmu", FMU_TYPE)
+        if _tabulated(setup):
+            suffix, kind = "csv", CSV_TYPE
+        components.append(Component(STIMULI, f"resources/{STIMULI}.{suffix}", names, type=kind))
+        links += [((STIMULI, each.variable), port) for each in setup.stimuli for port in each.ports]
+    return SystemStructure(setup.loaded.name, tuple(components), tuple(links), setup.steps * setup.h, setup.h)
+
+
+def _content(checked: Checked, system: SystemStructure, trace: Trace) -> dict[str, bytes]:
+    """Return reference signals, verdict and stimuli."""
+    setup = checked.setup
+    result = outcome(checked).result
+    about = {key: result[key] for key in ("scenario", "verdict", "checks", "estimates", "provenance")}
+    files = {REFERENCE: _table(trace), VERDICT: to_json(plain(about)).encode()}
+    if _tabulated(setup):
+        time = setup.h * np.arange(setup.steps)
+        columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
+        files[f"resources/{STIMULI}.csv"] = _csv({"time": time, **columns}, np.arange(setup.steps))
+    return files
+
+
+def _table(trace: Trace) -> bytes:
+    """Return the signals of a run, thinned to equal steps."""
+    stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
+    rows = np.arange(0, trace.steps + 1, stride)
+    columns = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
+    return _csv({"time": trace.h * np.arange(trace.steps + 1), **columns}, rows)
+
+
+def _csv(columns: Mapping[str, Array], rows: NDArray[np.intp]) -> bytes:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerow(columns)
+    np.savetxt(out, np.column_stack([column[rows] for column in columns.values()]), fmt="%.17g", delimiter=",")
+    return out.getvalue().encode()
+
+
+# -- replay --------------------------------------------------------------------------------------------------------------
+def replay(path: Path, out: Path, timeout: float | None = None, progress: Callable[[int, int], None] | None = None) -> Replayed:
+    """Run a package of any maker, compare it with the reference that it holds, and write `out/<its name>`.
+
+    Parameters
+    ----------
+    path : Path
+        The .ssp file.
+    out : Path
+        Folder of the results.
+    timeout : float, optional
+        Seconds that the simulation may take.
+    progress : function, optional
+        Called with the steps done and their number.
+
+    Raises
+    ------
+    BristleError
+        One line, if it cannot be run.
+    """
+    package = Package(path)
+    with output_folder(out), tempfile.TemporaryDirectory(prefix="bristle-kit-") as folder:
+        results.refuse_strange(out / path.stem)
+        bus = _replay_bus(package, Path(folder))
+        trace = simulate_isolated(bus, None if progress is None else lambda done: progress(done, bus.steps), timeout=timeout)
+        compared = REFERENCE in package.names
+        agreement = _agreement(package, trace) if compared else ()
+        failure = (
+            "" if trace.failure is None else f"{trace.failure.unit} stopped at {trace.failure.time:g} s: {trace.failure.message}"
+        )
+        found = Replayed(out / path.stem, agreement, failure, compared)
+        results.write(out, path.stem, _replay_files(package, found, trace))
+    return found
+
+
+def _replay_bus(package: Package, folder: Path) -> Bus:
+    system = package.system
+    fmus = {each.name: _unpacked(package, each, folder) for each in system.components if each.type != CSV_TYPE}
+    if not fmus:
+        raise package.mistake("has no FMU")
+    step, stop = _times(package, fmus)
+    steps = round((stop - system.start) / step)
+    if not 1 <= steps <= MOST_STEPS:
+        raise package.mistake(f"has {steps} steps of {step:g} s until {stop:g} s; allowed are 1 to {MOST_STEPS}")
+    links, series = [], {}
+    tables = {each.name: package.columns(each.source) for each in system.components if each.type == CSV_TYPE}
+    for source, target in system.connections:
+        _check_port(package, fmus, target, "input")
+        if source[0] in tables:
+            time, columns = tables[source[0]]
+            if source[1] not in columns:
+                raise package.mistake(f"{source[0]} has no column '{source[1]}'{suggest(source[1], list(columns))}")
+            at = np.searchsorted(time, system.start + step * np.arange(steps) + 1e-9 * step, side="right") - 1
+            series[target] = columns[source[1]][np.clip(at, 0, None)]
+        else:
+            _check_port(package, fmus, source, "output")
+            links.append((source, target))
+    instances = tuple(Instance(each.name, fmus[each.name], dict(each.values)) for each in system.components if each.name in fmus)
+    record = tuple((name, each) for name, fmu in fmus.items() for each in fmu.names("output") if fmu.is_real(each))
+    return Bus(instances, steps, step, links=tuple(links), series=series, record=record)
+
+
+def _unpacked(package: Package, component: Component, folder: Path) -> Fmu:
+    own = folder / component.name.replace("/", "_").replace("\\", "_")
+    own.mkdir()
+    fmu = Fmu(package.unpack(component.source, own), True)
+    for name in component.values:
+        if not fmu.has(name, "parameter"):
+            known = fmu.names("parameter")
+            raise package.mistake(f"component '{component.name}' has no parameter '{name}'{suggest(name, known)}")
+    return fmu
+
+
+def _times(package: Package, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
+    """Return step and stop time: what the package says, else what the FMUs say."""
+    experiments = [each.description.defaultExperiment for each in fmus.values()]
+    steps = [float(each.stepSize) for each in experiments if each is not None and each.stepSize]
+    stops = [float(each.stopTime) for each in experiments if each is not None and each.stopTime]
+    stop = package.system.stop if package.system.stop is not None else max(stops, default=None)
+    if stop is None:
+        raise package.mistake("says no stop time, and nor do its FMUs; add a DefaultExperiment with stopTime")
+    step = package.system.step or min(steps, default=(stop - package.system.start) / STEPS_BY_DEFAULT)
+    return step, stop
+
+
+def _check_port(package: Package, fmus: Mapping[str, Fmu], port: Port, causality: str) -> None:
+    unit, name = port
+    if unit not in fmus or not fmus[unit].has(name, causality) or not fmus[unit].is_real(name):
+        known = suggest(name, fmus[unit].names(causality)) if unit in fmus else ""
+        raise package.mistake(f"a connection needs the Real {causality} {unit}.{name}, which does not exist{known}")
+
+
+def _agreement(package: Package, trace: Trace) -> tuple[Agreement, ...]:
+    """Compare the signals with the reference at its times."""
+    time, columns = package.columns(REFERENCE)
+    rows = np.round((time - package.system.start) / trace.h).astype(int)
+    found = []
+    for name, expected in columns.items():
+        port = (name.partition(".")[0], name.partition(".")[2])
+        got = trace.get(port)
+        if got is None or rows[-1] >= len(got):
+            found.append(Agreement(name, None, 0.0))
+            continue
+        size = max(float(np.ptp(expected)), float(np.abs(expected).max()), np.finfo(float).tiny)
+        distance = np.abs(got[rows] - expected) / size
+        worst = int(np.argmax(np.where(np.isnan(distance), np.inf, distance)))
+        found.append(Agreement(name, float(distance[worst]) if np.isfinite(distance[worst]) else None, float(time[worst])))
+    return tuple(found)
+
+
+def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, str | bytes]:
+    verdict = "pass" if found.passed else "fail"
+    rows = [{"name": e.name, "worst": e.worst, "time_s": e.time, "limit": REPLAY_TOLERANCE, "pass": e.holds} for e in found.agreement]
+    recorded = json.loads(package.read(VERDICT)) if VERDICT in package.names else None
+    tree = {"package": package.path.name, "verdict": verdict, "failure": found.failure, "signals": rows, "recorded": recorded}
+    content = to_json(plain({**tree, "provenance": provenance()}))
+    return {"result.json": content, "signals.csv": _table(trace), "report.html": _page(package, found)}
+
+
+def _page(package: Package, found: Replayed) -> str:
+    cells = [
+        (identifier(e.name), number(e.worst, 2), number(e.time), badge("good", "agrees") if e.holds else badge("bad", "differs"))
+        for e in found.agreement
+    ]
+    head = badge("good", "pass") if found.passed else badge("bad", "fail")
+    text = "Largest difference from the reference, over the range of the signal, and when." if found.compared else \
+        "The package holds no reference to compare with."  # fmt: skip
+    failure = f'<p class="alarm">{found.failure}</p>' if found.failure else ""
+    body = f"<header><h1>Replay of {identifier(package.path.name)} {head}</h1></header>{failure}<p>{text}</p>"
+    return page(f"replay of {package.path.name}", body + table(("signal", "difference", "s", ""), cells, (1, 2)))

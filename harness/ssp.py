@@ -1,0 +1,259 @@
+"""System structure packages (SSP 1.0): writing the description of a co-simulation, and reading those of any maker.
+
+Read are packages of one level: FMUs and columns of CSV files, plain connections, parameter values. What is beyond that is refused.
+
+Source: ssp2019 (System Structure and Parameterization 1.0).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.common.errors import BristleError
+
+Array = NDArray[np.float64]
+Port = tuple[str, str]  # (component, connector)
+
+SPACE = "http://ssp-standard.org/SSP1/"
+SSD, SSC, SSV = (f"{SPACE}SystemStructure{part}" for part in ("Description", "Common", "ParameterValues"))
+OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"  # of the annotation of OMSimulator
+FMU_TYPE, CSV_TYPE = "application/x-fmu-sharedlibrary", "text/csv"
+DESCRIPTION = "SystemStructure.ssd"
+MOST_BYTES = 2 << 30  # that a package may unpack to
+STEPS_BY_DEFAULT = 500  # of an experiment that says nothing about its step
+
+
+@dataclass(frozen=True)
+class Component:
+    """An FMU of the system, its connectors by name with their kind (input, output, parameter), and its parameter values."""
+
+    name: str
+    source: str  # inside the package
+    connectors: Mapping[str, str]
+    values: Mapping[str, float | int | bool] = field(default_factory=dict)
+    type: str = FMU_TYPE
+
+
+@dataclass(frozen=True)
+class SystemStructure:
+    """What is co-simulated: components, connections from output to input, times in s (None: not said)."""
+
+    name: str
+    components: tuple[Component, ...]
+    connections: tuple[tuple[Port, Port], ...]
+    stop: float | None = None
+    step: float | None = None
+    start: float = 0.0
+
+
+# -- writing -------------------------------------------------------------------------------------------------------------
+def package_files(system: SystemStructure) -> dict[str, bytes]:
+    """Return SystemStructure.ssd and the parameter sets of the components, by their names in the package."""
+    for prefix, space in (("ssd", SSD), ("ssc", SSC), ("ssv", SSV), ("oms", OMS)):
+        ET.register_namespace(prefix, space)
+    sets = {f"resources/{each.name}.ssv": _parameter_set(each) for each in system.components if each.values}
+    return {DESCRIPTION: _description(system), **sets}
+
+
+def _description(system: SystemStructure) -> bytes:
+    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=system.name, generationTool="Bristle")
+    whole = ET.SubElement(root, f"{{{SSD}}}System", name=system.name)
+    elements = ET.SubElement(whole, f"{{{SSD}}}Elements")
+    for each in system.components:
+        component = ET.SubElement(elements, f"{{{SSD}}}Component", name=each.name, type=each.type, source=each.source)
+        connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
+        for name, kind in each.connectors.items():
+            ET.SubElement(ET.SubElement(connectors, f"{{{SSD}}}Connector", name=name, kind=kind), f"{{{SSC}}}Real")
+        if each.values:
+            bindings = ET.SubElement(component, f"{{{SSD}}}ParameterBindings")
+            ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding", source=f"resources/{each.name}.ssv")
+    connections = ET.SubElement(whole, f"{{{SSD}}}Connections")
+    for (source, output), (target, given) in system.connections:
+        ends = {"startElement": source, "startConnector": output, "endElement": target, "endConnector": given}
+        ET.SubElement(connections, f"{{{SSD}}}Connection", ends)
+    if system.step is not None:
+        _annotate(whole, system.step)
+    times = {"startTime": repr(system.start), **({} if system.stop is None else {"stopTime": repr(system.stop)})}
+    ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", times)
+    return _serialised(root)
+
+
+def _annotate(whole: ET.Element, step: float) -> None:
+    """Add the step in the way that OMSimulator reads it."""
+    annotation = ET.SubElement(
+        ET.SubElement(whole, f"{{{SSD}}}Annotations"), f"{{{SSC}}}Annotation", type="org.openmodelica"
+    )  # fmt: skip
+    about = ET.SubElement(ET.SubElement(annotation, f"{{{OMS}}}Annotations"), f"{{{OMS}}}SimulationInformation")
+    master = {"description": "oms-ma", "stepSize": repr(step), "absoluteTolerance": "1e-4", "relativeTolerance": "1e-4"}
+    ET.SubElement(about, f"{{{OMS}}}FixedStepMaster", master)
+
+
+def _parameter_set(component: Component) -> bytes:
+    root = ET.Element(f"{{{SSV}}}ParameterSet", version="1.0", name=component.name)
+    parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
+    for name, value in component.values.items():
+        kind = "Boolean" if isinstance(value, bool) else "Integer" if isinstance(value, int) else "Real"
+        text = str(value).lower() if kind == "Boolean" else repr(value)
+        ET.SubElement(ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=name), f"{{{SSV}}}{kind}", value=text)
+    return _serialised(root)
+
+
+def _serialised(root: ET.Element) -> bytes:
+    ET.indent(root)
+    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"
+
+
+# -- reading -------------------------------------------------------------------------------------------------------------
+class Package:
+    """A package as a file of any maker; nothing is unpacked before it is asked for.
+
+    Raises
+    ------
+    BristleError
+        One line, if it is no package, or holds what is not supported.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            with zipfile.ZipFile(path) as archive:
+                self.names = frozenset(archive.namelist())
+                size = sum(entry.file_size for entry in archive.infolist())
+        except OSError as error:
+            raise BristleError(f"{path}: {error.strerror}; check the path of the package") from None
+        except zipfile.BadZipFile:
+            raise BristleError(f"{path}: not a zip archive; give an .ssp file") from None
+        if size > MOST_BYTES:
+            raise BristleError(f"{path}: unpacks to {size} bytes; allowed are {MOST_BYTES}")
+        self.system = self._system()
+
+    def mistake(self, message: str) -> BristleError:
+        """Return the one-line error about this package."""
+        return BristleError(f"{self.path}: {message}")
+
+    def read(self, name: str) -> bytes:
+        """Return the content of one of its files."""
+        if name not in self.names:
+            raise self.mistake(f"holds no file '{name}'")
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                return archive.read(name)
+        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
+            raise self.mistake(f"{name}: cannot be unpacked ({error}); make the package again") from None
+
+    def unpack(self, name: str, folder: Path) -> Path:
+        """Write one of its files into a folder, under its last name, and return where."""
+        target = folder / PurePosixPath(name).name
+        target.write_bytes(self.read(name))
+        return target
+
+    def columns(self, name: str) -> tuple[Array, dict[str, Array]]:
+        """Return time and columns of one of its CSV files."""
+        try:
+            head, *rows = csv.reader(io.StringIO(self.read(name).decode("utf-8-sig")))
+            table = np.array([[float(cell) for cell in row] for row in rows])
+            values = dict(zip(head[1:], table.T[1:], strict=True))
+        except (ValueError, IndexError) as error:
+            raise self.mistake(f"{name}: no table of numbers with a head and time first ({error})") from None
+        if not len(table) or not np.isfinite(table).all() or (np.diff(table[:, 0]) < 0).any():
+            raise self.mistake(f"{name}: its times must rise, and its values be finite")
+        return table[:, 0], values
+
+    def _tree(self, name: str) -> ET.Element:
+        try:
+            return ET.fromstring(self.read(name))
+        except ET.ParseError as error:
+            raise self.mistake(f"{name}: no XML ({error})") from None
+
+    def _system(self) -> SystemStructure:
+        root = self._tree(DESCRIPTION)
+        whole = root.find(f"{{{SSD}}}System")
+        if root.tag != f"{{{SSD}}}SystemStructureDescription" or whole is None:
+            raise self.mistake(f"{DESCRIPTION} is no description of a system by SSP 1.0")
+        shared = dict(self._values(whole))
+        components = tuple(self._component(each, shared) for each in whole.findall(f"{{{SSD}}}Elements/*"))
+        if not components:
+            raise self.mistake("has no components")
+        connections = tuple(self._connection(each) for each in whole.findall(f"{{{SSD}}}Connections/{{{SSD}}}Connection"))
+        self._check_ends(components, connections)
+        about = root.find(f"{{{SSD}}}DefaultExperiment")
+        times = {} if about is None else {key: self._number(about.get(key)) for key in ("startTime", "stopTime") if about.get(key)}
+        master = next(iter(root.iter(f"{{{OMS}}}FixedStepMaster")), None)
+        step = None if master is None else self._number(master.get("stepSize"))
+        name = root.get("name") or self.path.stem
+        return SystemStructure(name, components, connections, times.get("stopTime"), step, times.get("startTime", 0.0))
+
+    def _component(self, element: ET.Element, shared: Mapping[str, float | int | bool]) -> Component:
+        name, kind = element.get("name", ""), element.get("type", FMU_TYPE)
+        if element.tag != f"{{{SSD}}}Component":
+            raise self.mistake(f"'{name}' is a system within the system; only one level is supported")
+        source = element.get("source", "")
+        if kind not in (FMU_TYPE, CSV_TYPE) or not source:
+            raise self.mistake(f"component '{name}' is of type {kind}; supported are FMUs ({FMU_TYPE}) and {CSV_TYPE}")
+        connectors = {
+            each.get("name", ""): each.get("kind", "") for each in element.findall(f"{{{SSD}}}Connectors/{{{SSD}}}Connector")
+        }
+        values = {key.removeprefix(f"{name}."): value for key, value in shared.items() if key.startswith(f"{name}.")}
+        return Component(name, source, connectors, values | dict(self._values(element)), kind)
+
+    def _values(self, element: ET.Element) -> Iterator[tuple[str, float | int | bool]]:
+        """Give the parameter values that are bound to an element, as (name, value)."""
+        for binding in element.findall(f"{{{SSD}}}ParameterBindings/{{{SSD}}}ParameterBinding"):
+            if binding.find(f"{{{SSD}}}ParameterMapping") is not None:
+                raise self.mistake("maps names of parameters, which is not supported")
+            source = binding.get("source")
+            sets = [self._tree(source)] if source else list(binding.iter(f"{{{SSV}}}ParameterSet"))
+            prefix = binding.get("prefix", "")
+            for each in (p for found in sets for p in found.iter(f"{{{SSV}}}Parameter")):
+                yield f"{prefix}{each.get('name', '')}", self._value(each)
+
+    def _value(self, parameter: ET.Element) -> float | int | bool:
+        for value in parameter:
+            kind, text = value.tag.rpartition("}")[2], value.get("value", "")
+            if kind == "Real":
+                return self._number(text)
+            if kind in ("Integer", "Enumeration"):
+                return int(self._number(text))
+            if kind == "Boolean" and text in ("true", "false", "0", "1"):
+                return text in ("true", "1")
+        raise self.mistake(f"parameter '{parameter.get('name')}' is neither Real nor Integer nor Boolean")
+
+    def _number(self, text: str | None) -> float:
+        try:
+            value = float(text or "")
+        except ValueError:
+            raise self.mistake(f"'{text}' is no number") from None
+        if not np.isfinite(value):
+            raise self.mistake(f"'{text}' is not finite")
+        return value
+
+    def _connection(self, element: ET.Element) -> tuple[Port, Port]:
+        if list(element):
+            extras = [each.tag.rpartition("}")[2] for each in element if not each.tag.endswith("ConnectionGeometry")]
+            if extras:
+                raise self.mistake(f"a connection has a {extras[0]}, which is not supported")
+        given = {key: element.get(key) for key in ("startElement", "startConnector", "endElement", "endConnector")}
+        missing = [key for key, value in given.items() if not value]
+        if missing:
+            raise self.mistake(f"a connection has no {missing[0]}: connectors of the system itself are not supported")
+        return (
+            (str(given["startElement"]), str(given["startConnector"])), (str(given["endElement"]), str(given["endConnector"]))
+        )  # fmt: skip
+
+    def _check_ends(self, components: Sequence[Component], connections: Sequence[tuple[Port, Port]]) -> None:
+        known = {each.name for each in components}
+        if len(known) < len(components):
+            raise self.mistake("two components have one name")
+        for name, connector in (end for pair in connections for end in pair):
+            if name not in known:
+                raise self.mistake(f"a connection ends at {name}.{connector}, and there is no component '{name}'")
