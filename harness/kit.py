@@ -323,7 +323,9 @@ def _agreement(package: Package, trace: Trace) -> tuple[Agreement, ...]:
 
 def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, str | bytes]:
     verdict = "pass" if found.passed else "fail"
-    rows = [{"name": e.name, "worst": e.worst, "time_s": e.time, "limit": REPLAY_TOLERANCE, "pass": e.holds} for e in found.agreement]
+    rows = [
+        {"name": e.name, "worst": e.worst, "time_s": e.time, "limit": REPLAY_TOLERANCE, "pass": e.holds} for e in found.agreement
+    ]
     recorded = json.loads(package.read(VERDICT)) if VERDICT in package.names else None
     tree = {"package": package.path.name, "verdict": verdict, "failure": found.failure, "signals": rows, "recorded": recorded}
     content = to_json(plain({**tree, "provenance": provenance()}))
