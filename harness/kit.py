@@ -18,7 +18,7 @@ from bristle.common.errors import BristleError, suggest
 from bristle.common.html import badge, identifier, number, page, table
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
-from bristle.fmus.host import Fmu
+from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
 from bristle.harness import results
 from bristle.harness.isolate import simulate_isolated
@@ -169,7 +169,7 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
     links = list(bus.links)
     components = []
     for each in bus.instances:
-        values = dict(each.values) or _numbers(setup, each.name)
+        values: dict[str, Value] = {**(each.values or _numbers(setup, each.name))}
         connectors = {name: "input" for name in each.fmu.names("input") if each.fmu.is_real(name)}
         connectors |= {name: "output" for name in each.fmu.names("output") if each.fmu.is_real(name)}
         connectors |= dict.fromkeys(values, "parameter")
@@ -190,7 +190,7 @@ def _content(checked: Checked, system: SystemStructure, trace: Trace) -> dict[st
     about = {key: result[key] for key in ("scenario", "verdict", "checks", "estimates", "provenance")}
     files = {REFERENCE: _table(trace), VERDICT: to_json(plain(about)).encode()}
     if _tabulated(setup):
-        time = setup.h * np.arange(setup.steps)
+        time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
         columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
         files[f"resources/{STIMULI}.csv"] = _csv({"time": time, **columns}, np.arange(setup.steps))
     return files
@@ -201,7 +201,7 @@ def _table(trace: Trace) -> bytes:
     stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
     rows = np.arange(0, trace.steps + 1, stride)
     columns = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
-    return _csv({"time": trace.h * np.arange(trace.steps + 1), **columns}, rows)
+    return _csv({"time": np.asarray(trace.h * np.arange(trace.steps + 1), dtype=np.float64), **columns}, rows)
 
 
 def _csv(columns: Mapping[str, Array], rows: NDArray[np.intp]) -> bytes:

@@ -22,11 +22,13 @@ from bristle.common.errors import BristleError
 
 Array = NDArray[np.float64]
 Port = tuple[str, str]  # (component, connector)
+Value = float | int | bool | str
 
 SPACE = "http://ssp-standard.org/SSP1/"
 SSD, SSC, SSV = (f"{SPACE}SystemStructure{part}" for part in ("Description", "Common", "ParameterValues"))
 OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"  # of the annotation of OMSimulator
 FMU_TYPE, CSV_TYPE = "application/x-fmu-sharedlibrary", "text/csv"
+KINDS_OF_VALUES = {bool: "Boolean", int: "Integer", str: "String", float: "Real"}  # in this order: a bool is an int
 DESCRIPTION = "SystemStructure.ssd"
 MOST_BYTES = 2 << 30  # that a package may unpack to
 STEPS_BY_DEFAULT = 500  # of an experiment that says nothing about its step
@@ -39,7 +41,7 @@ class Component:
     name: str
     source: str  # inside the package
     connectors: Mapping[str, str]
-    values: Mapping[str, float | int | bool] = field(default_factory=dict)
+    values: Mapping[str, Value] = field(default_factory=dict)
     type: str = FMU_TYPE
 
 
@@ -101,8 +103,8 @@ def _parameter_set(component: Component) -> bytes:
     root = ET.Element(f"{{{SSV}}}ParameterSet", version="1.0", name=component.name)
     parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
     for name, value in component.values.items():
-        kind = "Boolean" if isinstance(value, bool) else "Integer" if isinstance(value, int) else "Real"
-        text = str(value).lower() if kind == "Boolean" else repr(value)
+        kind = next(name for each, name in KINDS_OF_VALUES.items() if isinstance(value, each))
+        text = str(value).lower() if kind == "Boolean" else str(value) if kind == "String" else repr(value)
         ET.SubElement(ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=name), f"{{{SSV}}}{kind}", value=text)
     return _serialised(root)
 
@@ -193,7 +195,7 @@ class Package:
         name = root.get("name") or self.path.stem
         return SystemStructure(name, components, connections, times.get("stopTime"), step, times.get("startTime", 0.0))
 
-    def _component(self, element: ET.Element, shared: Mapping[str, float | int | bool]) -> Component:
+    def _component(self, element: ET.Element, shared: Mapping[str, Value]) -> Component:
         name, kind = element.get("name", ""), element.get("type", FMU_TYPE)
         if element.tag != f"{{{SSD}}}Component":
             raise self.mistake(f"'{name}' is a system within the system; only one level is supported")
@@ -206,7 +208,7 @@ class Package:
         values = {key.removeprefix(f"{name}."): value for key, value in shared.items() if key.startswith(f"{name}.")}
         return Component(name, source, connectors, values | dict(self._values(element)), kind)
 
-    def _values(self, element: ET.Element) -> Iterator[tuple[str, float | int | bool]]:
+    def _values(self, element: ET.Element) -> Iterator[tuple[str, Value]]:
         """Give the parameter values that are bound to an element, as (name, value)."""
         for binding in element.findall(f"{{{SSD}}}ParameterBindings/{{{SSD}}}ParameterBinding"):
             if binding.find(f"{{{SSD}}}ParameterMapping") is not None:
@@ -217,16 +219,18 @@ class Package:
             for each in (p for found in sets for p in found.iter(f"{{{SSV}}}Parameter")):
                 yield f"{prefix}{each.get('name', '')}", self._value(each)
 
-    def _value(self, parameter: ET.Element) -> float | int | bool:
+    def _value(self, parameter: ET.Element) -> Value:
         for value in parameter:
             kind, text = value.tag.rpartition("}")[2], value.get("value", "")
             if kind == "Real":
                 return self._number(text)
             if kind in ("Integer", "Enumeration"):
                 return int(self._number(text))
+            if kind == "String":
+                return text
             if kind == "Boolean" and text in ("true", "false", "0", "1"):
                 return text in ("true", "1")
-        raise self.mistake(f"parameter '{parameter.get('name')}' is neither Real nor Integer nor Boolean")
+        raise self.mistake(f"parameter '{parameter.get('name')}' is neither Real nor Integer, Boolean or String")
 
     def _number(self, text: str | None) -> float:
         try:
