@@ -161,6 +161,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "run",
         "test",
         "export",
+        "coupling",
         "reproduce",
         "init",
         "diagnose",

@@ -1,0 +1,38 @@
+"""`bristle coupling`: what the order of FMUs and the communication step change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bristle.cli.app import PASS, DebugOption, Fmi, FmiOption, app, path_of
+from bristle.cli.terminal import fraction
+
+
+@app.command(short_help="Say what the order of the FMUs and the communication step change.")
+def coupling(
+    scenario: Annotated[Path, typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of)],
+    out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out/coupling"),
+    fmi: FmiOption = Fmi.two,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
+    debug: DebugOption = False,
+) -> int:
+    """Run a scenario with all FMUs at once and one after the other, and with smaller steps; compare signals and estimates."""
+    from bristle.harness import coupling as library
+    from bristle.harness.catalogue import find_scenario
+    from bristle.harness.run import Options
+
+    with fraction("coupling") as tell:
+        found = library.coupling(
+            find_scenario(scenario), out, Options(fmi=int(fmi.value), overrides=tuple(set_ or ()), seed=seed), tell
+        )
+    signal = next(iter(found.schemes[0].errors)) if "plant.v" not in found.schemes[0].errors else "plant.v"
+    for each in found.schemes:
+        error = each.errors[signal]
+        lag = "" if error.delay is None else f", {1e3 * error.delay:+.3f} ms late"
+        print(f"{each.name:<52} {signal}: {100 * error.relative:.3g} % off{lag}")
+    print(out / "report.html")
+    return PASS
