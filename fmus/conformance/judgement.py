@@ -1,16 +1,29 @@
-"""All points of an FMU, and their results as JSON and JUnit."""
+"""All points of an FMU."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 from bristle.common.errors import BristleError
-from bristle.fmus.conformance.behaviour import BEHAVIOUR, judged
-from bristle.fmus.conformance.registry import Result, Verdict, static_conformance
-from bristle.fmus.host import Fmu
+from bristle.fmus.calls import Control
+from bristle.fmus.conformance.instance import CO_SIMULATION, MODEL_EXCHANGE, Subject
+from bristle.fmus.conformance.process import Task, judged
+from bristle.fmus.conformance.registry import POINTS, Result, Verdict, static_conformance
+from bristle.fmus.conformance.running import BEHAVIOUR
+from bristle.fmus.isolate import isolated
+
+LIFE = {CO_SIMULATION: "run-life", MODEL_EXCHANGE: "exchange-life"}  # where they fail, nothing more can be tested
+STATIC_SECONDS = 60.0  # s that all points of archive and description may take
+
+
+def _judge(path: Path, control: Control) -> list[dict[str, Any]]:
+    return [{"id": r.point.id, "verdict": r.verdict, "findings": list(r.findings)} for r in static_conformance(path)]
+
+
+def _results(answer: Any) -> list[Result]:
+    return [Result(POINTS[r["id"]], Verdict(r["verdict"]), tuple(map(str, r["findings"]))) for r in answer]
 
 
 def conformance(path: Path, progress: Callable[[str, float], None] | None = None) -> list[Result]:
@@ -21,49 +34,29 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
     path : Path
         The FMU, of any maker.
     progress : function, optional
-        Called with the name of a point and the share that is done.
+        Called with what is done and the share that is done.
 
     Raises
     ------
     BristleError
         If the file cannot be read or is no zip archive.
     """
-    found = static_conformance(path)
-    try:
-        Fmu(path)
-        why = ""
-    except BristleError as error:  # Model Exchange alone, too
-        why = str(error)
-    for k, each in enumerate(BEHAVIOUR.values()):
+    found = isolated(_judge, path, [path], _results, None, STATIC_SECONDS)  # what reads libraries is code in C++
+    points = list(BEHAVIOUR.values())
+
+    def tell(done: int) -> None:
         if progress:
-            progress(each.title, k / len(BEHAVIOUR))
-        found.append(Result(each, *((Verdict.not_tested, (why,)) if why else judged(path, each.id))))
-    return found
+            progress(points[min(done, len(points) - 1)].title, done / len(points))
 
-
-def to_tree(path: Path, results: Sequence[Result]) -> dict[str, Any]:
-    """Return the results for a JSON file."""
-    rows = [
-        {"id": r.point.id, "title": r.point.title, "severity": str(r.point.severity), "verdict": str(r.verdict),
-         "findings": list(r.findings)}
-        for r in results
-    ]  # fmt: skip
-    return {"fmu": str(path), "points": rows}
-
-
-def junit(path: Path, results: Sequence[Result]) -> bytes:
-    """Return the results as JUnit: a test case a point; what is not applicable or not tested is skipped."""
-    failed = [r for r in results if r.verdict is Verdict.failed]
-    skipped = [r for r in results if r.verdict in (Verdict.not_tested, Verdict.not_applicable)]
-    counts = {"tests": str(len(results)), "failures": str(len(failed)), "skipped": str(len(skipped))}
-    suite = ElementTree.Element("testsuite", {"name": path.name, **counts})
-    for r in results:
-        case = ElementTree.SubElement(suite, "testcase", {"classname": path.name, "name": r.point.id})
-        if r in failed or r in skipped:
-            kind = "failure" if r in failed else "skipped"
-            ElementTree.SubElement(case, kind, {"message": r.point.title}).text = "\n".join(_printable(f) for f in r.findings)
-    return bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True))
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in text)
+    try:
+        subject = Subject(path)
+        subject.check_binary()
+    except BristleError as error:
+        return found + [Result(each, Verdict.not_tested, (str(error),)) for each in points]
+    first = judged([Task(path, name) for name in LIFE.values()])
+    begun = {kind: Result(BEHAVIOUR[name], *judgement) for (kind, name), judgement in zip(LIFE.items(), first, strict=True)}
+    rest = [p for p in points if p.id not in LIFE.values() and begun[p.kind].verdict is not Verdict.failed]
+    judgements = judged([Task(path, p.id) for p in rest], tell)
+    done = {r.point.id: r for r in begun.values()}
+    done |= {p.id: Result(p, *judgement) for p, judgement in zip(rest, judgements, strict=True)}
+    return found + [done.get(p.id) or Result(p, Verdict.not_tested, (f"{LIFE[p.kind]} fails",)) for p in points]
