@@ -244,8 +244,8 @@ is no FMU.
 - **note**: nothing forbids it; better FMUs do otherwise.
 
 How runs are made: with the start values of the description, from the start of the default experiment, with its step size. Real
-inputs move about their start values by a tenth of the nominal value, where the FMU takes that. "The same" means the same to the
-last bit.
+inputs move about their start values by a tenth of the nominal value, where the FMU takes that; where it is asked what belongs
+to an instance, its real parameters differ a little, too. "The same" means the same to the last bit.
 
 What it does not cover: Scheduled Execution and clocks, arrays as states, intermediate update, early return, configuration mode.
 Where a difference quotient is not the same to both sides, a derivative is not judged. That no point fails does not prove that

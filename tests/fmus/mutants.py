@@ -109,10 +109,10 @@ BEHAVIOUR_MUTANTS: list[tuple[str, int, str]] = [  # value of MUTANT, version of
     }.items()),
     *((name, 3, point) for name, point in {
         "state": "exchange-state", "last": "run-last-time", "early return": "run-last-time", "noevents": "run-events",
-        "endless": "run-events", "nostates": "exchange-counts", "noindicators": "exchange-counts", "nulllog": "run-null", "sizes": "run-sizes",
-        "adjoint": "exchange-adjoint",
-        "start": "run-starts", "reset": "run-reset", "bytes": "run-bytes", "threads": "run-threads", "slope": "run-derivatives",
-        "exchangeslope": "exchange-derivatives", "pointer": "run-process", "firststep": "run-split",
+        "endless": "run-events", "nostates": "exchange-counts", "noindicators": "exchange-counts", "nulllog": "run-null",
+        "sizes": "run-sizes", "adjoint": "exchange-adjoint", "start": "run-starts", "reset": "run-reset", "bytes": "run-bytes",
+        "threads": "run-threads", "slope": "run-derivatives", "exchangeslope": "exchange-derivatives", "pointer": "run-process",
+        "firststep": "run-split",
     }.items()),
 ]  # fmt: skip
 
