@@ -35,9 +35,8 @@ Good FMUs of FMI 2 and 3 (`tests/fmus/mutants.py`, `mutant.c`) with one defect e
 def behaviour_rows(good: dict[int, Path]) -> Iterator[tuple[str, str, set[str]]]:
     """Give each defect of behaviour, the point made for it, and the points that find it."""
     for name, fmi, point in BEHAVIOUR_MUTANTS:
-        judgements = judged([Task(good[fmi], each, {"MUTANT": name}) for each in BEHAVIOUR])
-        found = {each for each, (verdict, _) in zip(BEHAVIOUR, judgements, strict=True) if verdict is Verdict.failed}
-        yield f"{name} (FMI {fmi})", point, found
+        rows = judged([Task(good[fmi], each, {"MUTANT": name}) for each in BEHAVIOUR])
+        yield f"{name} (FMI {fmi})", point, {row["id"] for row in rows if row["verdict"] is Verdict.failed}
 
 
 def static_rows(entries: dict[int, dict[str, bytes]], folder: Path) -> Iterator[tuple[str, str, set[str]]]:

@@ -8,26 +8,17 @@ from typing import Any
 
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
-from bristle.fmus.conformance.instance import CO_SIMULATION, MODEL_EXCHANGE, Subject
-from bristle.fmus.conformance.process import Task, judged
+from bristle.fmus.conformance.instance import Subject
+from bristle.fmus.conformance.process import Row, examined
 from bristle.fmus.conformance.registry import POINTS, Result, Verdict, static_conformance
 from bristle.fmus.conformance.running import BEHAVIOUR
 from bristle.fmus.isolate import isolated
 
-LIFE = {CO_SIMULATION: "run-life", MODEL_EXCHANGE: "exchange-life"}  # where they fail, nothing more can be tested
 STATIC_SECONDS = 60.0  # s that all points of archive and description may take
 
 
-def _judge(path: Path, control: Control) -> list[dict[str, Any]]:
-    return [{"id": r.point.id, "verdict": r.verdict, "findings": list(r.findings)} for r in static_conformance(path)]
-
-
-def _results(answer: Any) -> list[Result]:
-    return [Result(POINTS[r["id"]], Verdict(r["verdict"]), tuple(map(str, r["findings"]))) for r in answer]
-
-
 def conformance(path: Path, progress: Callable[[str, float], None] | None = None) -> list[Result]:
-    """Return the result of each point for an FMU: of its archive and description, then of its behaviour.
+    """Return the result of each point for an FMU: of its archive, libraries and description, then of its behaviour.
 
     Parameters
     ----------
@@ -41,7 +32,6 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
     BristleError
         If the file cannot be read or is no zip archive.
     """
-    found = isolated(_judge, path, [path], _results, None, STATIC_SECONDS)  # what reads libraries is code in C++
     points = list(BEHAVIOUR.values())
 
     def tell(done: int) -> None:
@@ -49,14 +39,18 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
             progress(points[min(done, len(points) - 1)].title, done / len(points))
 
     try:
-        subject = Subject(path)
-        subject.check_binary()
+        Subject(path).check_binary()
+        rows = examined(path, tell)
     except BristleError as error:
-        return found + [Result(each, Verdict.not_tested, (str(error),)) for each in points]
-    first = judged([Task(path, name) for name in LIFE.values()])
-    begun = {kind: Result(BEHAVIOUR[name], *judgement) for (kind, name), judgement in zip(LIFE.items(), first, strict=True)}
-    rest = [p for p in points if p.id not in LIFE.values() and begun[p.kind].verdict is not Verdict.failed]
-    judgements = judged([Task(path, p.id) for p in rest], tell)
-    done = {r.point.id: r for r in begun.values()}
-    done |= {p.id: Result(p, *judgement) for p, judgement in zip(rest, judgements, strict=True)}
-    return found + [done.get(p.id) or Result(p, Verdict.not_tested, (f"{LIFE[p.kind]} fails",)) for p in points]
+        rows = isolated(_static, path, [path], list, None, STATIC_SECONDS)
+        rows += [{"id": name, "verdict": Verdict.not_tested, "findings": [str(error)]} for name in BEHAVIOUR]
+    found = {row["id"]: row for row in rows}
+    return [_result(point, found[point.id]) for point in (*POINTS.values(), *points)]
+
+
+def _static(path: Path, control: Control) -> list[Row]:
+    return [{"id": r.point.id, "verdict": r.verdict, "findings": list(r.findings)} for r in static_conformance(path)]
+
+
+def _result(point: Any, row: Row) -> Result:
+    return Result(point, Verdict(row["verdict"]), tuple(map(str, row["findings"])))

@@ -10,8 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.fmus.conformance import BEHAVIOUR, Result, Severity, Verdict, conformance, junit, running, sarif
-from bristle.fmus.conformance.judgement import LIFE
+from bristle.fmus.conformance import BEHAVIOUR, POINTS, Result, Severity, Verdict, conformance, junit, running, sarif
 from bristle.fmus.conformance.process import Task, judged
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -37,9 +36,9 @@ def test_a_good_fmu_has_no_finding(fmi: int, good: dict[int, Path]) -> None:
 
 
 def test_each_mutant_is_found_by_the_point_made_for_it(good: dict[int, Path]) -> None:
-    judgements = judged([Task(good[fmi], point, {"MUTANT": name}) for name, fmi, point in BEHAVIOUR_MUTANTS])
-    found = zip(BEHAVIOUR_MUTANTS, judgements, strict=True)
-    assert [mutant for mutant, (verdict, findings) in found if (verdict, bool(findings)) != (Verdict.failed, True)] == []
+    rows = judged([Task(good[fmi], point, {"MUTANT": name}) for name, fmi, point in BEHAVIOUR_MUTANTS])
+    assert [m for m, row in zip(BEHAVIOUR_MUTANTS, rows, strict=True) if row["verdict"] is not Verdict.failed] == []
+    assert all(row["findings"] for row in rows)
 
 
 def test_every_point_has_a_mutant() -> None:
@@ -52,17 +51,17 @@ def test_every_point_has_a_mutant() -> None:
 )
 def test_a_crash_or_a_hang_is_a_finding(mutant: str, words: str, good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(running, "POINT_SECONDS", 1.5)
-    [(verdict, findings)] = judged([Task(good[2], "run-finite", {"MUTANT": mutant})])
-    assert (verdict, findings) == (Verdict.failed, (words,))
+    [row] = judged([Task(good[2], "run-finite", {"MUTANT": mutant})])
+    assert (row["verdict"], row["findings"]) == (Verdict.failed, [words])
 
 
 def test_points_without_forks(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """As on Windows, where each point has a process of its own from the start."""
     monkeypatch.delattr("os.fork")
     monkeypatch.setenv("MUTANT", "start")
-    (first, findings), (second, _) = judged([Task(good[2], "run-starts"), Task(good[2], "run-finite")])
-    assert (first, second) == (Verdict.failed, Verdict.passed)
-    assert findings == ("k: 3.0 instead of 2",)
+    first, second = judged([Task(good[2], "run-starts"), Task(good[2], "run-finite")])
+    assert (first["verdict"], second["verdict"]) == (Verdict.failed, Verdict.passed)
+    assert first["findings"] == ["k: 3.0 instead of 2"]
 
 
 def test_what_is_not_claimed_is_not_applicable(good: dict[int, Path], tmp_path: Path) -> None:
@@ -70,9 +69,9 @@ def test_what_is_not_claimed_is_not_applicable(good: dict[int, Path], tmp_path: 
     with zipfile.ZipFile(good[2]) as old, zipfile.ZipFile(other, "w") as new:
         for name in old.namelist():
             new.writestr(name, old.read(name).replace(b' canGetAndSetFMUstate="true"', b""))
-    [(verdict, [why])] = judged([Task(other, "run-state")])
-    assert verdict is Verdict.not_applicable
-    assert "does not claim" in why
+    [row] = judged([Task(other, "run-state")])
+    assert row["verdict"] is Verdict.not_applicable
+    assert "does not claim" in row["findings"][0]
 
 
 def test_where_its_life_fails_nothing_more_is_tested(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,8 +88,8 @@ def test_model_exchange_alone(good: dict[int, Path], tmp_path: Path) -> None:
         for name in old.namelist():
             lines = old.read(name).splitlines(keepends=True)
             new.writestr(name, b"".join(line for line in lines if not line.startswith(b"<CoSimulation")))
-    judgements = judged([Task(other, "exchange-finite"), Task(other, "run-finite"), Task(other, "exchange-agrees")])
-    assert [verdict for verdict, _ in judgements] == [Verdict.passed, Verdict.not_applicable, Verdict.not_applicable]
+    rows = judged([Task(other, "exchange-finite"), Task(other, "run-finite"), Task(other, "exchange-agrees")])
+    assert [row["verdict"] for row in rows] == [Verdict.passed, Verdict.not_applicable, Verdict.not_applicable]
 
 
 def test_an_fmu_without_a_library_for_this_machine_is_not_tested(good: dict[int, Path], tmp_path: Path) -> None:
@@ -102,25 +101,24 @@ def test_an_fmu_without_a_library_for_this_machine_is_not_tested(good: dict[int,
 
 @pytest.fixture
 def results(good: dict[int, Path], monkeypatch: pytest.MonkeyPatch) -> list[Result]:
-    def failed(tasks: list[Task], progress: object = None) -> list[tuple[Verdict, tuple[str, ...]]]:
-        return [(Verdict.passed if task.point in LIFE.values() else Verdict.failed, ("bad \x1b<>",)) for task in tasks]
-
-    monkeypatch.setattr("bristle.fmus.conformance.judgement.judged", failed)
+    """Results where each point of behaviour fails and no other."""
+    rows = [{"id": name, "verdict": Verdict.passed, "findings": []} for name in POINTS]
+    rows += [{"id": name, "verdict": Verdict.failed, "findings": ["bad \x1b<>"]} for name in BEHAVIOUR]
+    monkeypatch.setattr("bristle.fmus.conformance.judgement.examined", lambda path, tell: rows)
     return conformance(good[2])
 
 
 def test_the_results_as_junit(good: dict[int, Path], results: list[Result]) -> None:
     suite = ElementTree.fromstring(junit(good[2], results))
-    rest = set(BEHAVIOUR) - set(LIFE.values())
-    assert suite.get("failures") == str(len(rest))
-    assert {case.get("name") for case in suite if case.find("failure") is not None} == rest
+    assert suite.get("failures") == str(len(BEHAVIOUR))
+    assert {case.get("name") for case in suite if case.find("failure") is not None} == set(BEHAVIOUR)
 
 
 def test_the_results_as_sarif(good: dict[int, Path], results: list[Result]) -> None:
     tree = sarif(good[2], results)
     [run] = tree["runs"]
     rules = run["tool"]["driver"]["rules"]
-    assert [rules[each["ruleIndex"]]["id"] for each in run["results"]] == [name for name in BEHAVIOUR if name not in LIFE.values()]
+    assert [rules[each["ruleIndex"]]["id"] for each in run["results"]] == list(BEHAVIOUR)
     assert {each["level"] for each in run["results"]} == set(map(str, Severity))
     assert {each["message"]["text"] for each in run["results"]} == {"bad  <>"}
     assert tree["version"] == "2.1.0"
