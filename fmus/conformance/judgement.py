@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
 from bristle.fmus.conformance.instance import Subject
 from bristle.fmus.conformance.process import Row, examined
-from bristle.fmus.conformance.registry import POINTS, Result, Verdict, static_conformance
-from bristle.fmus.conformance.running import BEHAVIOUR
+from bristle.fmus.conformance.registry import POINTS, Point, Result, Verdict, static_conformance
+from bristle.fmus.conformance.running import BEHAVIOUR, BehaviourPoint
 from bristle.fmus.isolate import isolated
 
 STATIC_SECONDS = 60.0  # s that all points of archive and description may take
@@ -45,12 +44,13 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
         rows = isolated(_static, path, [path], list, None, STATIC_SECONDS)
         rows += [{"id": name, "verdict": Verdict.not_tested, "findings": [str(error)]} for name in BEHAVIOUR]
     found = {row["id"]: row for row in rows}
-    return [_result(point, found[point.id]) for point in (*POINTS.values(), *points)]
+    every: list[Point | BehaviourPoint] = [*POINTS.values(), *points]
+    return [_result(point, found[point.id]) for point in every]
 
 
 def _static(path: Path, control: Control) -> list[Row]:
     return [{"id": r.point.id, "verdict": r.verdict, "findings": list(r.findings)} for r in static_conformance(path)]
 
 
-def _result(point: Any, row: Row) -> Result:
+def _result(point: Point | BehaviourPoint, row: Row) -> Result:
     return Result(point, Verdict(row["verdict"]), tuple(map(str, row["findings"])))
