@@ -12,16 +12,19 @@ from bristle.fmus.conformance.registry import Package, Severity, point
 
 FOLDERS = {  # of FMI 2: format and machines
     "win32": ("pe", {"x86"}), "win64": ("pe", {"x86_64"}), "linux32": ("elf", {"x86"}), "linux64": ("elf", {"x86_64"}),
-    "darwin64": ("macho", {"x86_64"}),
+    "darwin64": ("macho", {"x86_64", "aarch64"}),
 }  # fmt: skip
 TUPLE = re.compile(r"(aarch32|aarch64|riscv32|riscv64|x86|x86_64|ppc32|ppc64)-(windows|linux|darwin)(-[a-z0-9]+)?")  # FMI 3
 FORMATS = {"windows": "pe", "linux": "elf", "darwin": "macho"}
 SUFFIX_OF = {"pe": ".dll", "elf": ".so", "macho": ".dylib"}
 PLAIN = {  # libraries that each system of the platform has, or that the C++ run time installs
-    "elf": re.compile(r"(lib(c|m|dl|rt|pthread|util|gcc_s|stdc\+\+|atomic)\.so(\.\d+)*|ld-linux.*)"),
+    "elf": re.compile(r"(lib(c|m|dl|rt|pthread|util|resolv|gcc_s|stdc\+\+|atomic)\.so(\.\d+)*|ld-linux.*)"),
     "pe": re.compile(
-        r"(kernel32|user32|gdi32|advapi32|shell32|ole32|oleaut32|ws2_32|shlwapi|rpcrt4|version|winmm|ntdll|bcrypt|crypt32|psapi"
-        r"|dbghelp|ucrtbase|msvcrt|msvcp\d+.*|vcruntime\d+.*|concrt\d+|vcomp\d+|api-ms-win-.*)\.dll", re.IGNORECASE),
+        r"(kernel(32|base)|user32|gdi(32|plus)|advapi32|shell32|ole32|oleaut32|ws2_32|wsock32|mswsock|shlwapi|shcore|rpcrt4|version"
+        r"|winmm|ntdll|bcrypt(primitives)?|ncrypt|crypt32|psapi|pdh|dbghelp|imagehlp|iphlpapi|dnsapi|comdlg32|comctl32|setupapi"
+        r"|cfgmgr32|secur32|netapi32|userenv|wininet|winhttp|mpr|powrprof|wtsapi32|opengl32|glu32|imm32|uxtheme|dwmapi|msimg32"
+        r"|normaliz|mscoree|odbc32|avrt|synchronization|ucrtbase|msvc[rp]\w*|vcruntime\w*|concrt\d+|vcomp\d+|api-ms-win-.*"
+        r"|ext-ms-.*)\.dll", re.IGNORECASE),
     "macho": re.compile(r"(/usr/lib/|/System/Library/).*"),
 }  # fmt: skip
 OWN_FOLDER = ("@rpath/", "@loader_path/", "$ORIGIN")  # how a library names what lies beside it
@@ -63,10 +66,12 @@ def _folder(package: Package) -> Iterator[str]:
             suffix = PurePosixPath(name).suffix
             if kind and suffix in SUFFIX_OF.values() and suffix != SUFFIX_OF[kind]:
                 yield f"{name}: a library of another system"
-    for library in package.libraries:
-        kind, machines = _expected(library.folder)
-        if kind and (library.format, library.machine in machines) != (kind, True):
-            yield f"{library.name}: {library.format or 'no library'} for {library.machine or 'no machine'}"
+    for name in dict.fromkeys(library.name for library in package.libraries):
+        parts = [library for library in package.libraries if library.name == name]  # several, if it is for several machines
+        kind, machines = _expected(parts[0].folder)
+        found = sorted({library.machine for library in parts})
+        if kind and (parts[0].format != kind or machines.isdisjoint(found)):
+            yield f"{name}: {parts[0].format or 'no library'} for {', '.join(found) or 'no machine'}"
 
 
 def _expected(folder: str) -> tuple[str, set[str]]:

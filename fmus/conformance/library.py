@@ -50,7 +50,8 @@ def libraries(name: str, data: bytes) -> Iterator[Library]:
     elif data.startswith(b"MZ"):
         parts = [("pe", lief.PE.parse(data))]
     elif data[:4] in MACHO:
-        parts = [("macho", each) for each in lief.MachO.parse(data) or ()]
+        whole = lief.MachO.parse(data)  # its parts live no longer than this
+        parts = [("macho", each) for each in whole or ()]
     parts = [(kind, part) for kind, part in parts if part is not None]
     if not parts:
         yield plain

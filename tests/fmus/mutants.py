@@ -249,6 +249,10 @@ def _for_arm(part: Any) -> None:
     part.header.machine_type = lief.ELF.ARCH.AARCH64
 
 
+CVODE = {  # of FMPy: they need another library, and the one for macOS looks for it where it was built
+    "windows": "sundials/x86_64-windows/sundials_cvode.dll",
+    "darwin": "sundials/aarch64-darwin/sundials_cvode.dylib",
+}
 STATIC_MUTANTS: list[tuple[str, int, Change]] = [  # point that has to find it, version of FMI, change
     ("archive-description", 3, rename("modelDescription.xml", "m/modelDescription.xml")),
     ("archive-description", 3, swap("</ModelVariables>", "")),
@@ -271,6 +275,10 @@ STATIC_MUTANTS: list[tuple[str, int, Change]] = [  # point that has to find it, 
     ("binary-functions", 3, library(lambda data: data.replace(b"fmi3GetClock", b"fmi3GotClock"), 3)),
     ("binary-needs", 2, edited(lambda part: part.add_library("libgfortran.so.5"))),
     ("binary-needs", 2, edited(lambda part: part.add_library("/opt/tool/libc.so.6"))),
+    ("binary-needs", 2, lambda entries: entries.update({"binaries/win64/a.dll": of_fmpy(CVODE["windows"])})),
+    ("binary-needs", 2, lambda entries: entries.update({"binaries/darwin64/a.dylib": of_fmpy(CVODE["darwin"])})),
+    ("binary-search", 2, lambda entries: entries.update({"binaries/darwin64/a.dylib": of_fmpy(CVODE["darwin"])})),
+    ("binary-folder", 2, lambda entries: entries.update({"binaries/win64/a.dll": of_fmpy("logging/win32/logging.dll")})),
     ("binary-search", 2, edited(_entry("rpath", "/opt/tool/lib"))),
     ("binary-search", 2, edited(_entry("runpath", "$ORIGIN:/opt/tool/lib"))),
     ("binary-stack", 2, edited(_executable_stack)),
@@ -303,6 +311,11 @@ STATIC_MUTANTS: list[tuple[str, int, Change]] = [  # point that has to find it, 
     ("description-times", 2, swap('stopTime="1"', 'stopTime="0"')),
     ("description-times", 2, swap('stepSize="0.001"', 'stepSize="-1"')),
 ]  # fmt: skip
+
+
+def of_fmpy(path: str) -> bytes:
+    """Return a library that FMPy brings, for one platform or another."""
+    return (files("fmpy") / path).read_bytes()
 
 
 def pack_badly(point: str, path: Path, entries: Entries) -> Path:

@@ -11,7 +11,7 @@ from bristle.common.errors import BristleError
 from bristle.fmus.conformance import POINTS, Verdict, static_conformance
 
 sys.path.insert(0, str(Path(__file__).parent))
-from mutants import PACKING_MUTANTS, STATIC_MUTANTS, good_entries, pack, pack_badly
+from mutants import PACKING_MUTANTS, STATIC_MUTANTS, good_entries, of_fmpy, pack, pack_badly
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the mutants are those of Linux")
 
@@ -40,6 +40,17 @@ def test_mutant(point, fmi, change, entries, tmp_path):
 @pytest.mark.parametrize("point", PACKING_MUTANTS)
 def test_packing(point, entries, tmp_path):
     assert point in failed(pack_badly(point, tmp_path / "mutant.fmu", entries[2]))
+
+
+def test_libraries_of_other_platforms(entries, tmp_path):
+    """Of Windows, and of macOS for two machines."""
+    changed = dict(entries[2])
+    for folder, suffix in (("win32", "dll"), ("win64", "dll"), ("darwin64", "dylib")):
+        changed[f"binaries/{folder}/good.{suffix}"] = of_fmpy(f"logging/{folder}/logging.{suffix}")
+    path = pack(tmp_path / "good.fmu", changed)
+    results = {r.point.id: r for r in static_conformance(path) if r.verdict is Verdict.failed}
+    assert set(results) == {"binary-functions"}
+    assert len(results["binary-functions"].findings) == 4
 
 
 def test_every_point_has_a_mutant():
