@@ -26,7 +26,7 @@ from bristle.fmus.conformance.running import (
     times,
 )
 from bristle.fmus.conformance.states import STORE
-from bristle.fmus.conformance.values import NUDGE, undeclared, wrong_slopes
+from bristle.fmus.conformance.values import NUDGE, not_linear, undeclared, wrong_slopes
 
 MOST_EVENTS = 100  # iterations that events at one time may take
 SUBSTEPS = 10  # steps of the integration for each step of Co-Simulation
@@ -348,6 +348,8 @@ def _derivatives(subject: Subject) -> Iterator[str]:
             own = [name for name in names if name != known]
             nominal = float(subject.variables[known].nominal or 1.0)
             yield from wrong_slopes(_Settable(model), own, known, nominal)  # type: ignore[arg-type]
+        knowns = _knowns(subject)
+        yield from not_linear(model.instance, [name for name in names if name not in knowns], knowns)
 
 
 @exchange("exchange-adjoint", "adjoint derivatives are the transpose of the directional ones")

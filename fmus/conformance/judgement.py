@@ -8,12 +8,10 @@ from pathlib import Path
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
 from bristle.fmus.conformance.instance import Subject
-from bristle.fmus.conformance.process import Row, examined
+from bristle.fmus.conformance.process import READING_SECONDS, Row, examined
 from bristle.fmus.conformance.registry import POINTS, Point, Result, Verdict, static_conformance
 from bristle.fmus.conformance.running import BEHAVIOUR, BehaviourPoint
 from bristle.fmus.isolate import isolated
-
-STATIC_SECONDS = 60.0  # s that all points of archive and description may take
 
 
 def conformance(path: Path, progress: Callable[[str, float], None] | None = None) -> list[Result]:
@@ -41,7 +39,7 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
         Subject(path).check_binary()
         rows = examined(path, tell)
     except BristleError as error:
-        rows = isolated(_static, path, [path], list, None, STATIC_SECONDS)
+        rows = isolated(_static, path, [path], list, None, READING_SECONDS)
         rows += [{"id": name, "verdict": Verdict.not_tested, "findings": [str(error)]} for name in BEHAVIOUR]
     found = {row["id"]: row for row in rows}
     every: list[Point | BehaviourPoint] = [*POINTS.values(), *points]

@@ -29,6 +29,7 @@ from bristle.fmus.isolate import isolated
 NOTE_SIZE = 64  # bytes of memory that the processes share, for the name of the call that is under way
 FORK_POLL = 0.003  # s between two looks at the processes
 MOST_AT_ONCE = 4  # points that run at a time
+READING_SECONDS = 60.0  # s that all points of archive, libraries and description may take
 MOST_SECONDS = 900.0  # s that all points of an FMU may take
 LIFE = {CO_SIMULATION: "run-life", MODEL_EXCHANGE: "exchange-life"}  # where they fail, nothing more can be tested
 
@@ -42,6 +43,11 @@ class Reading:
 
     path: Path
     step_seconds: None = None
+
+    @property
+    def seconds(self) -> float:
+        """Time [s] that they may take."""
+        return READING_SECONDS
 
     def rows(self, subjects: Subjects) -> list[Row]:
         """Judge them in this process."""
@@ -59,6 +65,11 @@ class Task:
     path: Path
     point: str
     environment: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        """Time [s] that it may take."""
+        return running.POINT_SECONDS
 
     @property
     def step_seconds(self) -> float | None:
@@ -139,7 +150,7 @@ def _run_alone(progress: Callable[[int], None] | None, jobs: Sequence[Job]) -> l
         if progress:
             progress(len(rows))
         try:
-            rows += isolated(_alone, job, [job.path], _rows, None, running.POINT_SECONDS)
+            rows += isolated(_alone, job, [job.path], _rows, None, job.seconds)
         except BristleError as error:
             rows += job.lost(str(error))
     return rows
@@ -231,8 +242,8 @@ class _Fork:
         now, call = time.monotonic(), self.note[:].decode("ascii", "replace").strip(" \0")
         if call != self.call:
             self.call, self.since = call, now
-        if now - self.begun > running.POINT_SECONDS:
-            return running.POINT_SECONDS
+        if now - self.begun > self.job.seconds:
+            return self.job.seconds
         longest = self.job.step_seconds
         return longest if longest and call.endswith("DoStep") and now - self.since > longest else None
 

@@ -269,6 +269,15 @@ def wrong_slopes(instance: Instance, unknowns: Sequence[str], known: str, size: 
             yield f"{unknowns[k]} by {known}: {given[k]:.6g} instead of {middle[k]:.6g}"
 
 
+def not_linear(instance: Instance, unknowns: Sequence[str], knowns: Sequence[str]) -> Iterator[str]:
+    """Give the variables whose directional derivative in a mixed direction is not the sum of those by each known one."""
+    seed = [1.0 + k for k in range(len(knowns))]
+    parts = np.array([instance.directional(unknowns, [known], [share]) for known, share in zip(knowns, seed, strict=True)])
+    for name, terms, found in zip(unknowns, parts.T, instance.directional(unknowns, knowns, seed), strict=True):
+        if abs(found - terms.sum()) > SAME_START * np.abs(terms).sum():
+            yield f"{name} in a mixed direction: {found:.6g} instead of {terms.sum():.6g}"
+
+
 @behaviour("run-derivatives", "directional derivatives of outputs by inputs are the difference quotients")
 def _derivatives(subject: Subject) -> Iterator[str]:
     ask(subject, "providesDirectionalDerivative", "providesDirectionalDerivatives")
@@ -287,3 +296,5 @@ def _derivatives(subject: Subject) -> Iterator[str]:
                 yield from wrong_slopes(run.instance, outputs, known, size, quiet=True)
             except CallFailed as error:
                 yield f"by {known}: {error}"
+                return
+        yield from not_linear(run.instance, outputs, list(inputs))

@@ -149,6 +149,7 @@ static M *make(const char *name, const char *token, const char *resources, int l
     M *m = calloc(1, sizeof *m);
     m->d.exchange = exchange, m->log = log || is("logoff"), m->logger = logger, m->environment = environment;
     start(m);
+    if (is("leakword")) m->lost = malloc(64);
     if (is("leakinstance")) m->lost = memset(malloc(1 << 20), 1, 1 << 20);
     if (is("handles") && open("/dev/null", O_RDONLY) < 0) return NULL;
     if (is("startthread")) {
@@ -371,7 +372,7 @@ F(GetDirectionalDerivative)(M *m, const Vr *z, size_t nz, const Vr *x, size_t nx
             if (z[i] == W) a = x[j] == U ? (is("slope") ? 2 : 1) : x[j] == V ? m->d.v[K] : 0;
             if (z[i] == DV) a = x[j] == U ? m->d.v[K] : x[j] == V ? (is("exchangeslope") ? 1 : -1) : 0;
             if (z[i] == V) a = x[j] == V;
-            dz[i] += a * dx[j];
+            dz[i] = is("lastknown") ? a * dx[j] : dz[i] + a * dx[j];
         }
     }
     return OK;
