@@ -228,27 +228,44 @@ def source_keys(shown: Catalogue | None = None) -> str:
 
 CHECK_HEAD = """# Check an FMU of any maker
 
-    bristle check ANY.fmu --json check.json --junit check.xml
+    bristle check ANY.fmu --json check.json --junit check.xml --sarif check.sarif
 
-looks at the archive and the description of an FMU and runs it (Co-Simulation of FMI 2 or 3). Each point of behaviour is tested
-in a process of its own and may take 10 s; a crash or a hang is a finding of the point that was under way. What the FMU does not
-claim to do (several instances, storing its state) is "not applicable", what could not be judged is "not tested", and neither
-counts as a pass. The exit code is 1 if a point of severity error or warning failed or could not be tested. An FMU is code, which
-runs with your rights.
+looks at the archive, the description and the libraries of an FMU, of all platforms, and runs it: Co-Simulation and Model
+Exchange of FMI 2 or 3. Each point of behaviour is tested in a process of its own and may take 10 s; a crash or a hang is a
+finding of the point that was under way, and names the call. What the FMU does not claim to do (several instances, storing its
+state) is "not applicable", what could not be judged is "not tested", and neither counts as a pass. SARIF is what code hosts
+show beside a pull request, JUnit what CI servers read. An FMU is code, which runs with your rights.
 
-What it does not cover: Model Exchange, directional derivatives and declared dependencies, serialised states, split steps,
-threads, the libraries that a binary needs, logging categories. That no point fails does not prove that an FMU is right.
+Exit code 0: no point of severity error or warning failed or could not be tested. 1: one did. 2: an error, such as a file that
+is no FMU.
 
-The tests have a good FMU without findings, and for each point an FMU that only this point is made to find.
+- **error**: the standard is broken, or results are wrong.
+- **warning**: hosts get into trouble.
+- **note**: nothing forbids it; better FMUs do otherwise.
+
+How runs are made: with the start values of the description, from the start of the default experiment, with its step size. Real
+inputs move about their start values by a tenth of the nominal value, where the FMU takes that; where it is asked what belongs
+to an instance, its real parameters differ a little, too. "The same" means the same to the last bit.
+
+What it does not cover: Scheduled Execution and clocks, arrays as states, intermediate update, early return, configuration mode.
+Where a difference quotient is not the same to both sides, a derivative is not judged. That no point fails does not prove that
+an FMU is right.
+
+The tests have good FMUs of FMI 2 and 3 without findings, and for each point at least one defect that it has to find; which
+points find which defects, and how long it takes, is in
+[benchmarks/results/check_mutants.md](../benchmarks/results/check_mutants.md).
 """
+CHECK_TITLES = {
+    "archive": "Archive", "binary": "Libraries", "description": "Description", "run": "Co-Simulation", "exchange": "Model Exchange",
+}  # fmt: skip
 
 
 def check_page(shown: Catalogue | None = None) -> str:
     """Return docs/check.md."""
-    text = [CHECK_HEAD]
-    for title, points in (("Archive and description", POINTS), ("Behaviour", BEHAVIOUR)):
+    text, points = [CHECK_HEAD], [*POINTS.values(), *BEHAVIOUR.values()]
+    for prefix, title in CHECK_TITLES.items():
         text += [f"## {title}", "", "| point | what is asked | severity |", "|---|---|---|"]
-        text += [f"| `{each.id}` | {each.title} | {each.severity} |" for each in points.values()] + [""]
+        text += [f"| `{each.id}` | {each.title} | {each.severity} |" for each in points if each.id.startswith(f"{prefix}-")] + [""]
     return "\n".join(text)
 
 

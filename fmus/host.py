@@ -112,12 +112,18 @@ class Fmu:
             if isinstance(error, AttributeError | KeyError | TypeError):  # an element or attribute is missing
                 reason = "modelDescription.xml is not one of FMI, or lacks an attribute such as fmiVersion"
             raise BristleError(f"FMU {self.path}: cannot be read: {reason}; give a valid FMI 2 or FMI 3 file") from None
-        if description.coSimulation is None or description.fmiMajorVersion not in (2, 3):
+        kinds = self._kinds(description)
+        if not kinds or description.fmiMajorVersion not in (2, 3):
             raise BristleError(f"FMU {self.path}: no Co-Simulation of FMI 2 or 3 inside; export it as Co-Simulation")
-        identifier = str(description.coSimulation.modelIdentifier)
-        if IDENTIFIER.fullmatch(identifier) is None:
-            raise BristleError(f"FMU {self.path}: modelIdentifier '{identifier}' is not a plain name; do not trust this file")
+        for identifier in (str(kind.modelIdentifier) for kind in kinds):
+            if IDENTIFIER.fullmatch(identifier) is None:
+                raise BristleError(f"FMU {self.path}: modelIdentifier '{identifier}' is not a plain name; do not trust this file")
         return description
+
+    @staticmethod
+    def _kinds(description: Any) -> list[Any]:
+        """Return the interface types that can be used."""
+        return [] if description.coSimulation is None else [description.coSimulation]
 
     @property
     def fmi(self) -> int:

@@ -20,26 +20,26 @@ def check(
     fmu: Annotated[Path, typer.Argument(help="FMU of any maker", metavar="ANY.fmu", parser=path_of)],
     json: Annotated[Path | None, typer.Option(help="file for the results", metavar="FILE", parser=path_of)] = None,
     junit: Annotated[Path | None, typer.Option(help="file for the results as JUnit", metavar="FILE", parser=path_of)] = None,
+    sarif: Annotated[Path | None, typer.Option(help="file for the findings as SARIF", metavar="FILE", parser=path_of)] = None,
     debug: DebugOption = False,
 ) -> int:
     """Say which points of the FMI standard and of good conduct an FMU breaks."""
     from bristle.common.output import check_not_replaced, replace_files, to_json
     from bristle.fmus import conformance
 
-    files = [file for file in (json, junit) if file is not None]
+    files = [file for file in (json, junit, sarif) if file is not None]
     for file in files:
         check_not_replaced(file.parent, [file.name], [fmu])
     with fraction("check") as tell:
         results = conformance.conformance(fmu, tell)
-    passed, failed = conformance.Verdict.passed, (conformance.Verdict.failed, conformance.Verdict.not_tested)
-    for r in results:
-        if r.verdict is not passed:
-            for finding in r.findings:
-                print(f"{r.verdict:<14}  {r.point.severity:<7}  {r.point.id}: {finding}")
-    print(f"{sum(r.verdict is passed for r in results)} of {len(results)} points pass")
-    if json is not None:
-        replace_files(json.parent, {json.name: to_json(conformance.to_tree(fmu, results)).encode()}, [json.name])
-    if junit is not None:
-        replace_files(junit.parent, {junit.name: conformance.junit(fmu, results)}, [junit.name])
+    failed = (conformance.Verdict.failed, conformance.Verdict.not_tested)
+    print("\n".join(conformance.to_lines(results)))
+    written = {
+        json: lambda: to_json(conformance.to_tree(fmu, results)).encode(),
+        junit: lambda: conformance.junit(fmu, results),
+        sarif: lambda: to_json(conformance.sarif(fmu, results)).encode(),
+    }
+    for file in files:
+        replace_files(file.parent, {file.name: written[file]()}, [file.name])
     serious = [r for r in results if r.verdict in failed and r.point.severity is not conformance.Severity.note]
     return FAIL if serious else PASS

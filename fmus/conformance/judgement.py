@@ -1,69 +1,54 @@
-"""All points of an FMU, and their results as JSON and JUnit."""
+"""All points of an FMU."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
 
 from bristle.common.errors import BristleError
-from bristle.fmus.conformance.behaviour import BEHAVIOUR, judged
-from bristle.fmus.conformance.registry import Result, Verdict, static_conformance
-from bristle.fmus.host import Fmu
+from bristle.fmus.calls import Control
+from bristle.fmus.conformance.instance import Subject
+from bristle.fmus.conformance.process import READING_SECONDS, Row, examined
+from bristle.fmus.conformance.registry import POINTS, Point, Result, Verdict, static_conformance
+from bristle.fmus.conformance.running import BEHAVIOUR, BehaviourPoint
+from bristle.fmus.isolate import isolated
 
 
 def conformance(path: Path, progress: Callable[[str, float], None] | None = None) -> list[Result]:
-    """Return the result of each point for an FMU: of its archive and description, then of its behaviour.
+    """Return the result of each point for an FMU: of its archive, libraries and description, then of its behaviour.
 
     Parameters
     ----------
     path : Path
         The FMU, of any maker.
     progress : function, optional
-        Called with the name of a point and the share that is done.
+        Called with what is done and the share that is done.
 
     Raises
     ------
     BristleError
         If the file cannot be read or is no zip archive.
     """
-    found = static_conformance(path)
-    try:
-        Fmu(path)
-        why = ""
-    except BristleError as error:  # Model Exchange alone, too
-        why = str(error)
-    for k, each in enumerate(BEHAVIOUR.values()):
+    points = list(BEHAVIOUR.values())
+
+    def tell(done: int) -> None:
         if progress:
-            progress(each.title, k / len(BEHAVIOUR))
-        found.append(Result(each, *((Verdict.not_tested, (why,)) if why else judged(path, each.id))))
-    return found
+            progress(points[min(done, len(points) - 1)].title, done / len(points))
+
+    try:
+        Subject(path).check_binary()
+        rows = examined(path, tell)
+    except BristleError as error:
+        rows = isolated(_static, path, [path], list, None, READING_SECONDS)
+        rows += [{"id": name, "verdict": Verdict.not_tested, "findings": [str(error)]} for name in BEHAVIOUR]
+    found = {row["id"]: row for row in rows}
+    every: list[Point | BehaviourPoint] = [*POINTS.values(), *points]
+    return [_result(point, found[point.id]) for point in every]
 
 
-def to_tree(path: Path, results: Sequence[Result]) -> dict[str, Any]:
-    """Return the results for a JSON file."""
-    rows = [
-        {"id": r.point.id, "title": r.point.title, "severity": str(r.point.severity), "verdict": str(r.verdict),
-         "findings": list(r.findings)}
-        for r in results
-    ]  # fmt: skip
-    return {"fmu": str(path), "points": rows}
+def _static(path: Path, control: Control) -> list[Row]:
+    return [{"id": r.point.id, "verdict": r.verdict, "findings": list(r.findings)} for r in static_conformance(path)]
 
 
-def junit(path: Path, results: Sequence[Result]) -> bytes:
-    """Return the results as JUnit: a test case a point; what is not applicable or not tested is skipped."""
-    failed = [r for r in results if r.verdict is Verdict.failed]
-    skipped = [r for r in results if r.verdict in (Verdict.not_tested, Verdict.not_applicable)]
-    counts = {"tests": str(len(results)), "failures": str(len(failed)), "skipped": str(len(skipped))}
-    suite = ElementTree.Element("testsuite", {"name": path.name, **counts})
-    for r in results:
-        case = ElementTree.SubElement(suite, "testcase", {"classname": path.name, "name": r.point.id})
-        if r in failed or r in skipped:
-            kind = "failure" if r in failed else "skipped"
-            ElementTree.SubElement(case, kind, {"message": r.point.title}).text = "\n".join(_printable(f) for f in r.findings)
-    return bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True))
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in text)
+def _result(point: Point | BehaviourPoint, row: Row) -> Result:
+    return Result(point, Verdict(row["verdict"]), tuple(map(str, row["findings"])))

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bristle.common.errors import BristleError
+from bristle.fmus.conformance.library import SUFFIXES, Library, libraries
 
 if TYPE_CHECKING:
-    from bristle.fmus.conformance.behaviour import BehaviourPoint
+    from bristle.fmus.conformance.running import BehaviourPoint
+
+
+LARGEST_READ = 1 << 28  # bytes of an entry that are looked at
 
 
 class Severity(StrEnum):
@@ -45,6 +51,36 @@ class Package:
         """Names of the entries."""
         return [entry.filename for entry in self.entries]
 
+    def read(self, name: str) -> bytes:
+        """Return the bytes of an entry; none if it cannot be unpacked or is larger than LARGEST_READ."""
+        try:
+            with zipfile.ZipFile(self.path) as archive, archive.open(name) as file:
+                data = file.read(LARGEST_READ + 1)
+        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError):
+            return b""
+        return data if len(data) <= LARGEST_READ else b""
+
+    @property
+    def fmi(self) -> int:
+        """Major version of FMI."""
+        return 3 if str(self.root.get("fmiVersion", "")).startswith("3") else 2
+
+    @cached_property
+    def binary_folders(self) -> dict[str, list[str]]:
+        """Entries of each folder of binaries/, by its name."""
+        found: dict[str, list[str]] = {}
+        for name in self.names:
+            parts = name.split("/")
+            if parts[0] == "binaries" and len(parts) > 2 and parts[-1]:
+                found.setdefault(parts[1], []).append(name)
+        return found
+
+    @cached_property
+    def libraries(self) -> tuple[Library, ...]:
+        """The libraries of all platforms."""
+        names = [n for entries in self.binary_folders.values() for n in entries if n.count("/") == 2 and n.endswith(SUFFIXES)]
+        return tuple(each for name in dict.fromkeys(names) for each in libraries(name, self.read(name)))
+
     @property
     def identifiers(self) -> list[str]:
         """The modelIdentifier of each interface type, empty where there is none."""
@@ -54,7 +90,7 @@ class Package:
     @property
     def variables(self) -> list[tuple[Any, Any]]:
         """For each variable the element with its name, and the one with its type and start (in FMI 3 the same)."""
-        three = str(self.root.get("fmiVersion", "")).startswith("3")
+        three = self.fmi == 3
         found = [v for v in self.root.iterfind("ModelVariables/*") if isinstance(v.tag, str)]
         return [(v, v if three else v[0]) for v in found if three or len(v)]
 
@@ -95,6 +131,22 @@ def point(name: str, title: str, severity: Severity = Severity.error, *, descrip
     return enter
 
 
+def parsed(text: bytes) -> Any:
+    """Return the root element of an XML text, whose entities are left alone.
+
+    Raises
+    ------
+    ValueError
+        If it is not well-formed.
+    """
+    from lxml import etree
+
+    try:
+        return etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:
+        raise ValueError(str(error)) from None
+
+
 def static_conformance(path: Path) -> list[Result]:
     """Return the result of each point for an FMU; it is read, not run.
 
@@ -103,20 +155,17 @@ def static_conformance(path: Path) -> list[Result]:
     BristleError
         If the file cannot be read or is no zip archive.
     """
-    from lxml import etree
-
-    parser = etree.XMLParser(resolve_entities=False, no_network=True)
     try:
         with zipfile.ZipFile(path) as archive:
             entries = tuple(archive.infolist())
             known = {entry.filename for entry in entries}
             text = archive.read("modelDescription.xml") if "modelDescription.xml" in known else None
-        root = None if text is None else etree.fromstring(text, parser)
+        root = None if text is None else parsed(text)
     except OSError as error:
         raise BristleError(f"FMU {path}: {error.strerror}; check the path") from None
     except zipfile.BadZipFile:
         raise BristleError(f"FMU {path}: not a zip archive, or a damaged one; give an .fmu file") from None
-    except (etree.XMLSyntaxError, NotImplementedError, RuntimeError):
+    except (ValueError, NotImplementedError, RuntimeError):
         root = None
     package = Package(path, entries, root)
     return [_result(each, package) for each in POINTS.values()]

@@ -1,8 +1,8 @@
-"""Static conformance: a good FMU has no finding, and each point finds what is changed for it."""
+"""Points of archive, libraries and description: a good FMU has no finding, and each point finds the defects made for it."""
 
-import stat
-import zipfile
-from collections.abc import Callable
+from __future__ import annotations
+
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,80 +10,55 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.fmus.conformance import POINTS, Verdict, static_conformance
 
-GOOD = (
-    '<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t"><CoSimulation modelIdentifier="m"/>'
-    '<UnitDefinitions><Unit name="s"/></UnitDefinitions><DefaultExperiment stopTime="1"/><ModelVariables>'
-    '<Float64 name="time" valueReference="0" causality="independent" unit="s"/>'
-    '<Float64 name="k" valueReference="1" causality="parameter" start="1" min="0" max="2"/></ModelVariables>'
-    "<ModelStructure/></fmiModelDescription>"
-)
-FILES = {"modelDescription.xml": GOOD, "binaries/x86_64-linux/m.so": "", "documentation/index.html": ""}
+sys.path.insert(0, str(Path(__file__).parent))
+from mutants import PACKING_MUTANTS, STATIC_MUTANTS, good_entries, of_fmpy, pack, pack_badly
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the mutants are those of Linux")
 
 
-def swap(old: str, new: str) -> Callable[[dict[str, str]], None]:
-    return lambda files: files.update({"modelDescription.xml": GOOD.replace(old, new)})
-
-
-def rename(old: str, new: str) -> Callable[[dict[str, str]], None]:
-    return lambda files: files.update({new: files.pop(old)})
-
-
-MUTANTS = [
-    ("archive-description", rename("modelDescription.xml", "m/modelDescription.xml")),
-    ("archive-description", swap("</ModelVariables>", "")),
-    ("archive-paths", rename("documentation/index.html", "../index.html")),
-    ("archive-paths", rename("documentation/index.html", "documentation\\index.html")),
-    ("archive-documentation", lambda files: files.pop("documentation/index.html")),
-    ("archive-binary", rename("binaries/x86_64-linux/m.so", "binaries/x86_64-linux/other.so")),
-    ("description-validator", swap("<ModelStructure/>", "")),
-    ("description-validator", swap('causality="parameter"', 'causality="output" initial="exact"')),
-    ("description-range", swap('max="2"', 'max="two"')),
-    ("description-identifier", swap('modelIdentifier="m"', 'modelIdentifier="../m"')),
-    ("description-token", swap('"t"', '""')),
-    ("description-names", swap('"k"', '"time"')),
-    ("description-range", swap('start="1"', 'start="3"')),
-    ("description-range", swap('start="1"', 'start="NaN"')),
-    ("description-units", swap('unit="s"', 'unit="h"')),
-    ("description-experiment", swap(' stopTime="1"', "")),
-]
-
-
-def packed(path: Path, files: dict[str, str], method: int = zipfile.ZIP_DEFLATED) -> Path:
-    with zipfile.ZipFile(path, "w", method) as archive:
-        for name, text in files.items():
-            archive.writestr(name, text)
-    return path
+@pytest.fixture(scope="module")
+def entries(tmp_path_factory: pytest.TempPathFactory) -> dict[int, dict[str, bytes]]:
+    return {fmi: good_entries(fmi, tmp_path_factory.mktemp("good")) for fmi in (2, 3)}
 
 
 def failed(path: Path) -> set[str]:
     return {r.point.id for r in static_conformance(path) if r.verdict is Verdict.failed}
 
 
-def test_good(tmp_path):
-    assert failed(packed(tmp_path / "good.fmu", FILES)) == set()
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_good(fmi, entries, tmp_path):
+    assert failed(pack(tmp_path / "good.fmu", entries[fmi])) == set()
 
 
-@pytest.mark.parametrize(("name", "change"), MUTANTS)
-def test_mutant(tmp_path, name, change):
-    files = dict(FILES)
-    change(files)
-    assert name in failed(packed(tmp_path / "mutant.fmu", files))
+@pytest.mark.parametrize(("point", "fmi", "change"), STATIC_MUTANTS)
+def test_mutant(point, fmi, change, entries, tmp_path):
+    changed = dict(entries[fmi])
+    change(changed)
+    assert point in failed(pack(tmp_path / "mutant.fmu", changed))
 
 
-def test_packing(tmp_path):
-    assert "archive-method" in failed(packed(tmp_path / "lzma.fmu", FILES, zipfile.ZIP_LZMA))
-    linked = packed(tmp_path / "linked.fmu", FILES)
-    with zipfile.ZipFile(linked, "a") as archive:
-        link = zipfile.ZipInfo("resources/link")
-        link.external_attr = (stat.S_IFLNK | 0o777) << 16
-        archive.writestr(link, "/etc")
-        with pytest.warns(UserWarning, match="Duplicate"):
-            archive.writestr("modelDescription.xml", GOOD)
-    assert {"archive-links", "archive-twice"} <= failed(linked)
+@pytest.mark.parametrize("point", PACKING_MUTANTS)
+def test_packing(point, entries, tmp_path):
+    assert point in failed(pack_badly(point, tmp_path / "mutant.fmu", entries[2]))
+
+
+def test_libraries_of_other_platforms(entries, tmp_path):
+    """Of Windows, and of macOS for two machines."""
+    changed = dict(entries[2])
+    for folder, suffix in (("win32", "dll"), ("win64", "dll"), ("darwin64", "dylib")):
+        changed[f"binaries/{folder}/good.{suffix}"] = of_fmpy(f"logging/{folder}/logging.{suffix}")
+    path = pack(tmp_path / "good.fmu", changed)
+    results = {r.point.id: r for r in static_conformance(path) if r.verdict is Verdict.failed}
+    assert set(results) == {"binary-functions"}
+    assert len(results["binary-functions"].findings) == 4
+
+
+def test_every_point_has_a_mutant():
+    assert {*PACKING_MUTANTS, *(point for point, _, _ in STATIC_MUTANTS)} == set(POINTS)
 
 
 def test_not_tested(tmp_path):
-    results = static_conformance(packed(tmp_path / "none.fmu", {"a": ""}))
+    results = static_conformance(pack(tmp_path / "none.fmu", {"a": b""}))
     assert {r.point.id for r in results if r.verdict is Verdict.not_tested} == {
         p.id for p in POINTS.values() if p.needs_description
     }

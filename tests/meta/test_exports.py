@@ -24,7 +24,8 @@ PUBLIC = {
     ],
     "bristle.fmus": ["build", "obtain"],
     "bristle.fmus.conformance": [
-        "BEHAVIOUR", "POINTS", "Result", "Severity", "Verdict", "conformance", "junit", "static_conformance", "to_tree",
+        "BEHAVIOUR", "POINTS", "Result", "Severity", "Verdict", "conformance", "junit", "sarif", "static_conformance", "to_lines",
+        "to_tree",
     ],
     "bristle.model.declarations": ["checked_declarations", "source_keys"],
     "bristle.model.native": ["Native"],

@@ -1,0 +1,93 @@
+"""What `bristle check` finds: defects put into good FMUs, by the points that find them; false alarms and time of good FMUs.
+
+python benchmarks/check_mutants.py [OTHER.fmu ...] > benchmarks/results/check_mutants.md
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from bristle.fmus import obtain
+from bristle.fmus.conformance import BEHAVIOUR, POINTS, Severity, Verdict, conformance, static_conformance
+from bristle.fmus.conformance.process import Task, judged
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "fmus"))
+from mutants import (  # type: ignore[import-not-found]
+    BEHAVIOUR_MUTANTS,
+    PACKING_MUTANTS,
+    STATIC_MUTANTS,
+    good_entries,
+    pack,
+    pack_badly,
+)
+
+HEAD = """# What `bristle check` finds
+
+Good FMUs of FMI 2 and 3 (`tests/fmus/mutants.py`, `mutant.c`) with one defect each, and all points. Made by
+`python benchmarks/check_mutants.py > benchmarks/results/check_mutants.md`
+"""
+
+
+def behaviour_rows(good: dict[int, Path]) -> Iterator[tuple[str, str, set[str]]]:
+    """Give each defect of behaviour, the point made for it, and the points that find it."""
+    for name, fmi, point in BEHAVIOUR_MUTANTS:
+        rows = judged([Task(good[fmi], each, {"MUTANT": name}) for each in BEHAVIOUR])
+        yield f"{name} (FMI {fmi})", point, {row["id"] for row in rows if row["verdict"] is Verdict.failed}
+
+
+def static_rows(entries: dict[int, dict[str, bytes]], folder: Path) -> Iterator[tuple[str, str, set[str]]]:
+    """Give each defect of archive, libraries or description, the point made for it, and the points that find it."""
+
+    def found(path: Path) -> set[str]:
+        return {r.point.id for r in static_conformance(path) if r.verdict is Verdict.failed}
+
+    for k, (point, fmi, change) in enumerate(STATIC_MUTANTS):
+        changed = dict(entries[fmi])
+        change(changed)
+        yield f"{point} {k + 1} (FMI {fmi})", point, found(pack(folder / f"mutant{k}.fmu", changed))
+    for point in PACKING_MUTANTS:
+        yield f"{point} (FMI 2)", point, found(pack_badly(point, folder / f"{point}.fmu", entries[2]))
+
+
+def checked(title: str, path: Path) -> None:
+    begin = time.perf_counter()
+    results = conformance(path)
+    seconds = time.perf_counter() - begin
+    failed = [r for r in results if r.verdict is Verdict.failed]
+    passed, notes = sum(r.verdict is Verdict.passed for r in results), [r for r in failed if r.point.severity is Severity.note]
+    serious = ", ".join(f"`{r.point.id}`" for r in failed if r not in notes) or "-"
+    said = ", ".join(f"`{r.point.id}`" for r in notes) or "-"
+    print(f"| {title} | {passed} | {serious} | {said} | {seconds:.1f} |")
+
+
+def main(others: list[str]) -> None:
+    print(HEAD)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        entries = {fmi: good_entries(fmi, folder) for fmi in (2, 3)}
+        good = {fmi: pack(folder / f"good{fmi}.fmu", entries[fmi]) for fmi in (2, 3)}
+        rows = [*static_rows(entries, folder), *behaviour_rows(good)]
+        caught = sum(point in found for _, point, found in rows)
+        points = {point for _, point, found in rows if point in found}
+        print(f"{len(POINTS) + len(BEHAVIOUR)} points, {len(points)} of them seen to fail on a defect that is made for them. ")
+        print(f"{len(rows)} defects, {caught} found by the point made for them, {sum(bool(f) for *_, f in rows)} by any.\n")
+        print("## FMUs without defects\n")
+        print("Serious: error or warning.\n\n| FMU | points passed | serious | notes | s |\n|---|---|---|---|---|")
+        for fmi in (2, 3):
+            checked(f"good, FMI {fmi}", good[fmi])
+            for what in ("plant", "observer", "controller"):
+                checked(f"{what}, FMI {fmi}", obtain(what, fmi=fmi))
+        for path in others:
+            checked(Path(path).name, Path(path))
+    print("\n## Defects\n\n| defect | point made for it | found | found by others, too |\n|---|---|---|---|")
+    for defect, point, found in rows:
+        more = ", ".join(f"`{each}`" for each in sorted(found - {point})) or "-"
+        print(f"| {defect} | `{point}` | {'yes' if point in found else 'NO'} | {more} |")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
