@@ -25,7 +25,7 @@ REFINED = 16  # of the scenario's step: size of the steps of the reference
 DIVISIONS = (1, 2, 4)  # of the step, with all FMUs at once
 ORDERS = (("plant", "controller", "observer"), ("controller", "plant", "observer"))  # one FMU after the other
 SHIFT_ROUNDS = 8  # Newton steps of a delay
-STATES = ("theta", "v", "w", "F")  # which an observer estimates beside parameters
+ESTIMATED_STATES = ("theta", "v", "w", "F")  # which an observer estimates beside parameters
 LEAST_ERROR = 1e-12  # of the size of a signal: errors below it are rounding, and show no order
 
 
@@ -188,7 +188,7 @@ def _scheme(name: str, trace: Trace, best: Trace, rows: int) -> Scheme:
 def _estimates(trace: Trace, rows: int) -> dict[str, float]:
     """Return the estimates of parameters at the end; those that the method does not give are 0, and left out."""
     hats = {name.removesuffix("_hat"): float(trace[unit, name][rows - 1]) for unit, name in trace.record if name.endswith("_hat")}
-    return {name: value for name, value in hats.items() if value and name not in STATES}
+    return {name: value for name, value in hats.items() if value and name not in ESTIMATED_STATES}
 
 
 def _orders(schemes: Sequence[Scheme]) -> dict[str, float | None]:
@@ -217,8 +217,8 @@ def _json(found: Coupling) -> bytes:
 
 def _page(found: Coupling) -> bytes:
     parts = [
-        f"<header><h1>Coupling of {identifier(found.scenario)}</h1><p class='lead'>What the order of the FMUs and the communication "
-        f"step change, against all at once with a step of {found.step / REFINED:g} s.</p></header>"
+        f"<header><h1>Coupling of {identifier(found.scenario)}</h1><p class='lead'>What the order of the FMUs and the"
+        f" communication step change, against all at once with a step of {found.step / REFINED:g} s.</p></header>"
     ]
     parts += [f'<p class="alarm">{note}</p>' for note in found.notes]
     for each in found.schemes:

@@ -35,7 +35,7 @@ VERDICT = "resources/reference/verdict.json"
 STIMULI = "stimuli"
 MOST_ROWS = 2001  # of the reference signals
 REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
-MOST_STEPS = 10_000_000
+LONGEST_REPLAY = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -253,8 +253,8 @@ def _replay_bus(package: Package, folder: Path) -> Bus:
         raise package.mistake("has no FMU")
     step, stop = _times(package, fmus)
     steps = round((stop - system.start) / step)
-    if not 1 <= steps <= MOST_STEPS:
-        raise package.mistake(f"has {steps} steps of {step:g} s until {stop:g} s; allowed are 1 to {MOST_STEPS}")
+    if not 1 <= steps <= LONGEST_REPLAY:
+        raise package.mistake(f"has {steps} steps of {step:g} s until {stop:g} s; allowed are 1 to {LONGEST_REPLAY}")
     links, series = [], {}
     tables = {each.name: package.columns(each.source) for each in system.components if each.type == CSV_TYPE}
     for source, target in system.connections:
