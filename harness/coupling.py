@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.errors import BristleError
 from bristle.common.html import identifier, number, page, table
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
@@ -96,16 +98,19 @@ def compare(bus: Bus, scenario: str, progress: Told) -> Coupling:
     units = [each.name for each in bus.instances]
     orders = [] if bus.risky else [tuple(u for u in order if u in units) for order in ORDERS]
     notes = ("FMUs from elsewhere are run all at once only.",) if bus.risky else ()
-    ways: dict[str, Callable[[], Trace]] = {
-        f"all at once, step {bus.h / m:g} s": lambda m=m: divided(bus, m) for m in (REFINED, *DIVISIONS)
-    }  # fmt: skip
-    ways |= {
-        f"{' - '.join(order)}, step {bus.h:g} s": lambda order=order: sequential(bus, order) for order in dict.fromkeys(orders)
-    }
+    ways: dict[str, Callable[[], Trace]] = {}
+    for parts in (REFINED, *DIVISIONS):
+        ways[f"all at once, step {bus.h / parts:g} s"] = partial(divided, bus, parts)
+    for order in dict.fromkeys(orders):
+        ways[f"{' - '.join(order)}, step {bus.h:g} s"] = partial(sequential, bus, order)
     traces: dict[str, Trace] = {}
     for k, (name, run) in enumerate(ways.items()):
         progress(name, k / len(ways))
         traces[name] = run()
+        if traces[name].failure is not None and k == 0:
+            raise BristleError(
+                f"{scenario}: with a step of {bus.h / REFINED:g} s the run ends early, so nothing can be compared with it"
+            )
         if traces[name].failure is not None:
             notes = (*notes, f"{name}: the run ended early, at {traces[name].steps * bus.h:g} s; it is left out")
             del traces[name]
@@ -232,16 +237,12 @@ def _page(found: Coupling) -> bytes:
         head = ("signal", "rms error, % of its rms", "rms error, SI unit", "largest error, SI unit", "delay, ms")
         parts.append(f"<h2>{each.name}</h2>" + table(head, rows, (1, 2, 3, 4)))
     names = [each.name for each in found.schemes]
-    rows = [
-        (
-            identifier(name),
-            number(value, 5),
-            *(number(100 * (s.estimates.get(name, 0.0) / value - 1), 3) for s in found.schemes),
-        )
-        for name, value in found.refined.items()
-    ]
+    estimates = []
+    for name, value in found.refined.items():
+        others = [number(100 * (each.estimates.get(name, 0.0) / value - 1), 3) for each in found.schemes]
+        estimates.append([identifier(name), number(value, 5), *others])
     parts.append("<h2>Estimates at the end</h2><p>In the refined run, and how far the others are from it, in %.</p>")
-    parts.append(table(("estimate", "refined", *names), rows, tuple(range(1, len(names) + 2))))
+    parts.append(table(("estimate", "refined", *names), estimates, tuple(range(1, len(names) + 2))))
     orders = [(identifier(name), "–" if order is None else number(order, 3)) for name, order in found.orders.items()]
     text = "The error falls with this power of the communication step (all at once)."
     parts.append(f"<h2>Order</h2><p>{text}</p>" + table(("signal", "order"), orders, (1,)))
