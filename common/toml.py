@@ -27,6 +27,10 @@ class InUnit:
 
     unit: str
 
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        """Return the JSON schema of the text, such as ``20 s``."""
+        return {"type": "string", "pattern": r"^\s*[-+0-9.eE]+\s+\S+\s*$", "examples": [f"1 {self.unit}"]}
+
 
 def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario file")."""

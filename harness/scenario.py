@@ -174,7 +174,7 @@ class Scenario(Section):
     """A scenario file, checked as far as it can be without looking at the FMUs."""
 
     name: str = ""
-    """Name of the scenario; where it is given it must be the name of the file."""
+    """Name of the scenario, for readers; results are named by the file."""
     title: str = ""
     """Headline of the report."""
     shows: str = ""
@@ -318,8 +318,6 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         scenario = Scenario.model_validate(tree, context={"record": "record" in tree})
     except ValidationError as error:
         raise first_mistake(path, Scenario, error) from None
-    if scenario.name and scenario.name != path.stem:
-        raise mistake(path, "name", scenario.name, f"must be the file's name '{path.stem}'; rename one of them or leave name out")
     given = [*overrides, *([f"controller.parameters.seed={seed}"] if seed is not None else [])]
     return Loaded(path, text, scenario, given, notes)
 

@@ -2,7 +2,21 @@
 
 from importlib import import_module
 
-for _name in ("list_", "build", "run", "test_", "export", "coupling", "reproduce", "init", "diagnose", "validate", "diff", "check"):
+for _name in (
+    "list_",
+    "build",
+    "run",
+    "test_",
+    "export",
+    "coupling",
+    "reproduce",
+    "schema",
+    "init",
+    "diagnose",
+    "validate",
+    "diff",
+    "check",
+):
     import_module(f"{__name__}.{_name}")
 
 __all__: list[str] = []

@@ -163,6 +163,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "export",
         "coupling",
         "reproduce",
+        "schema",
         "init",
         "diagnose",
         "validate",

@@ -65,7 +65,6 @@ MISTAKES = [
      'input = {column = "u", kind = "voltage", unit = "V"}\n'
      'output = {column = "v", kind = "velocity", unit = "rad/s"}\n[observer]', ["either [plant] or [record]"]),
     ("seed zero", "[observer]", "[validation]\nseed = 0\n[observer]", ["validation.seed", "0", "at least 1"]),
-    ("other name", 'duration = "2 s"', 'duration = "2 s"\nname = "other"', ["name", "other", "'case'"]),
     ("foreign FMU missing", 'law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', 'fmu = "nowhere.fmu"',
      ["plant.fmu", "nowhere.fmu", "No such file"]),
     ("foreign FMU broken", 'law = "modified"\n\n[plant.parameters]\nJ = "0.001 kg.m2"', 'fmu = "case.toml"',
