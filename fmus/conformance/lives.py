@@ -24,6 +24,7 @@ from bristle.fmus.conformance.running import (
     STEPS,
     NotApplicable,
     Run,
+    ask,
     ask_several,
     behaviour,
     differing,
@@ -31,6 +32,7 @@ from bristle.fmus.conformance.running import (
     steps_within,
     tuned,
 )
+from bristle.fmus.conformance.states import STORE
 
 LIVES = 40  # of an instance, over which memory may not grow
 FIRST_LIVES = 10  # after which memory in use is first looked at
@@ -79,11 +81,16 @@ def _unload(library: ctypes.CDLL) -> None:
 
 @behaviour("run-reset", "after a reset it is as new")
 def _reset(subject: Subject) -> Iterator[str]:
-    expected = fresh(subject)
+    with Run(subject) as run:
+        run.begin()
+        inputs, expected = run.input_values(), run.steps()
     with tuned(subject) as run:
         run.steps()
         run.instance.do("Reset")
         run.begin()
+        for name, value in run.input_values().items():
+            if value != inputs[name]:
+                yield f"{name}: {value:.17g} instead of {inputs[name]:.17g}"
         yield from differing(run.columns, expected, run.steps())
 
 
@@ -203,6 +210,17 @@ def _freed(subject: Subject) -> Iterator[str]:
     grown = _grown(lambda: _new_life(subject), _ask_allocated())
     if grown > ALLOWED_GROWTH * LIVES:
         yield f"{grown / LIVES:.0f} bytes an instance"
+
+
+@behaviour("run-states-freed", "allocated memory does not grow with states that are stored and freed", Severity.warning)
+def _states_freed(subject: Subject) -> Iterator[str]:
+    ask(subject, *STORE)
+    used = _ask_allocated()
+    with Run(subject) as run:
+        run.begin()
+        grown = _grown(lambda: run.instance.free_state(run.instance.get_state()), used)
+    if grown > ALLOWED_GROWTH * LIVES:
+        yield f"{grown / LIVES:.0f} bytes a state"
 
 
 @behaviour("run-handles", "neither open files nor threads are left by instances", Severity.warning)
