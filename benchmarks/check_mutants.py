@@ -74,7 +74,7 @@ def rebuilt(entries: dict[str, bytes], defect: dict[str, str], path: Path) -> Pa
         out = Path(folder, "result.so")
         subprocess.run([*find_compiler(), *flags, f"-I{folder}", *units, "-o", str(out), "-lm"], check=True)
         changed[library] = out.read_bytes()
-    return pack(path, changed)
+    return Path(pack(path, changed))
 
 
 def own_rows(folder: Path) -> Iterator[tuple[str, set[str]]]:

@@ -40,6 +40,7 @@ LIVES_SECONDS = 5.0  # s that lives may take
 ALLOWED_GROWTH = 48  # bytes a life, which are less than those of an instance
 ALLOWED_HANDLES = 10  # files or threads that lives may leave
 THREAD_STEPS = 200  # steps of the instances that run in threads
+SIGNALS_OF_GLIBC = 0b11 << 31  # numbers 32 and 33, which it takes when a thread begins
 SWITCH_INTERVAL = 1e-5  # s between two looks of Python at its other threads
 
 
@@ -237,18 +238,19 @@ def _environment() -> dict[str, str]:
     """Return what an FMU shares with its host and should leave alone."""
     library = ctypes.CDLL(None)
     library.setlocale.restype = ctypes.c_char_p
-    mask = os.umask(0)
-    os.umask(mask)
+    files = os.umask(0)
+    os.umask(files)
     seen = {
         "working directory": os.getcwd(),
         "locale": (library.setlocale(6, None) or b"").decode(),  # LC_ALL of glibc
-        "file mode mask": oct(mask),
+        "file mode mask": oct(files),
         "rounding": str(_rounding()),
         "subnormal numbers": "kept" if float(np.float64(1e-310) * np.float64(0.5)) > 0 else "flushed to zero",
     }
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(("SigBlk", "SigIgn", "SigCgt")):
-            seen[f"signals {line.split()[0]}"] = line.split()[1]
+            name, mask = line.split()
+            seen[f"signals {name.rstrip(':')}"] = f"{int(mask, 16) & ~SIGNALS_OF_GLIBC:016x}"
     return seen
 
 
