@@ -5,15 +5,19 @@ python benchmarks/check_mutants.py [OTHER.fmu ...] > benchmarks/results/check_mu
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 import time
+import tomllib
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from bristle.fmus import obtain
 from bristle.fmus.conformance import BEHAVIOUR, POINTS, Severity, Verdict, conformance, static_conformance
 from bristle.fmus.conformance.process import Task, judged
+from bristle.model.compiler import find_compiler
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "fmus"))
 from mutants import (  # type: ignore[import-not-found]
@@ -25,6 +29,7 @@ from mutants import (  # type: ignore[import-not-found]
     pack_badly,
 )
 
+OWN = Path(__file__).with_name("check_own.toml")
 HEAD = """# What `bristle check` finds
 
 Good FMUs of FMI 2 and 3 (`tests/fmus/mutants.py`, `mutant.c`) with one defect each, and all points. Made by
@@ -53,6 +58,34 @@ def static_rows(entries: dict[int, dict[str, bytes]], folder: Path) -> Iterator[
         yield f"{point} (FMI 2)", point, found(pack_badly(point, folder / f"{point}.fmu", entries[2]))
 
 
+def rebuilt(entries: dict[str, bytes], defect: dict[str, str], path: Path) -> Path:
+    """Compile the sources of an FMU with a defect and write the FMU."""
+    changed, name = dict(entries), f"sources/{defect['file']}"
+    text = changed[name].decode()
+    assert defect["old"] in text, defect["name"]
+    changed[name] = text.replace(defect["old"], defect["new"], 1).encode()
+    [library] = [name for name in entries if name.startswith("binaries/") and name.endswith(".so")]
+    with tempfile.TemporaryDirectory() as folder:
+        units = []
+        for unit in (name.removeprefix("sources/") for name in changed if name.startswith("sources/")):
+            Path(folder, unit).write_bytes(changed[f"sources/{unit}"])
+            units += [str(Path(folder, unit))] if unit.endswith(".c") else []
+        flags = ["-std=c99", "-O1", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-fvisibility=hidden"]
+        out = Path(folder, "result.so")
+        subprocess.run([*find_compiler(), *flags, f"-I{folder}", *units, "-o", str(out), "-lm"], check=True)
+        changed[library] = out.read_bytes()
+    return Path(pack(path, changed))
+
+
+def own_rows(folder: Path) -> Iterator[tuple[str, set[str]]]:
+    """Give each defect in our own sources and the points that find it."""
+    with zipfile.ZipFile(obtain("plant", law="viscous", encoder=False)) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    for defect in tomllib.loads(OWN.read_text(encoding="utf-8"))["defect"]:
+        results = conformance(rebuilt(entries, defect, folder / "own.fmu"))
+        yield defect["name"], {r.point.id for r in results if r.verdict is Verdict.failed}
+
+
 def checked(title: str, path: Path) -> None:
     begin = time.perf_counter()
     results = conformance(path)
@@ -75,6 +108,8 @@ def main(others: list[str]) -> None:
         points = {point for _, point, found in rows if point in found}
         print(f"{len(POINTS) + len(BEHAVIOUR)} points, {len(points)} of them seen to fail on a defect that is made for them. ")
         print(f"{len(rows)} defects, {caught} found by the point made for them, {sum(bool(f) for *_, f in rows)} by any.\n")
+        own = list(own_rows(folder))
+        print(f"{len(own)} defects in our own FMU, {sum(bool(found) for _, found in own)} found by any.\n")
         print("## FMUs without defects\n")
         print("Serious: error or warning.\n\n| FMU | points passed | serious | notes | s |\n|---|---|---|---|---|")
         for fmi in (2, 3):
@@ -87,6 +122,11 @@ def main(others: list[str]) -> None:
     for defect, point, found in rows:
         more = ", ".join(f"`{each}`" for each in sorted(found - {point})) or "-"
         print(f"| {defect} | `{point}` | {'yes' if point in found else 'NO'} | {more} |")
+    print("\n## Defects in our own FMU\n")
+    print("In the C sources of the plant with viscous friction (`benchmarks/check_own.toml`), found by any point.\n")
+    print("| defect | found by |\n|---|---|")
+    for defect, found in own:
+        print(f"| {defect} | {', '.join(f'`{each}`' for each in sorted(found)) or 'NONE'} |")
 
 
 if __name__ == "__main__":

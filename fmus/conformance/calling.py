@@ -88,6 +88,19 @@ def _unknown(subject: Subject) -> Iterator[str]:
             for verb in ("Get", "Set"):
                 if not refused(run.instance.access(verb, reference, kind, (c_double * 1)())):
                     yield f"{verb}{kind} of reference {reference} has status OK"
+        yield from _of_another_type(run.instance)
+
+
+def _of_another_type(instance: Instance) -> Iterator[str]:
+    """Give what is read of real variables as of another type, where no variable of that type has the reference."""
+    subject = instance.subject
+    for kind in ("Integer", "Boolean") if subject.fmi == 2 else ("Int32", "Boolean"):
+        used = {v.valueReference for v in subject.variables.values() if v.type in (kind, "Enumeration")}
+        real = subject.scalars("output", "input", "parameter")
+        names = [name for name in real if subject.variables[name].valueReference not in used]
+        for name in names[:1]:
+            if not refused(instance.access("Get", subject.reference(name), kind, (subject.typed(kind)[1] * 1)())):
+                yield f"{name} is read as {kind}, with status OK"
 
 
 # -- order ---------------------------------------------------------------------------------------------------------------

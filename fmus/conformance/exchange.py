@@ -23,6 +23,7 @@ from bristle.fmus.conformance.running import (
     default_step,
     differing,
     numbers,
+    offset_inputs,
     times,
 )
 from bristle.fmus.conformance.states import STORE
@@ -78,6 +79,7 @@ class Model:
         self.t = times(self.subject)[0]
         self.instance.enter(self.t)
         self.instance.leave()
+        offset_inputs(self.instance)
         self.events = settle(self.instance)
         self.instance.do("EnterContinuousTimeMode")
         if self.subject.fmi == 2:
@@ -166,6 +168,11 @@ def _with_states(subject: Subject) -> Model:
     return model
 
 
+def _beside(x: Array) -> Array:
+    """Return states a little apart, each by another step."""
+    return x * (1 + NUDGE) + NUDGE * (1 + np.arange(len(x)))
+
+
 def _names(model: Model) -> list[str]:
     return [*model.columns, *(f"derivative {k}" for k in range(1, model.n + 1))]
 
@@ -216,7 +223,7 @@ def _finite(subject: Subject) -> Iterator[str]:
 @exchange("exchange-states", "states are read as they were set")
 def _states(subject: Subject) -> Iterator[str]:
     with _with_states(subject) as model:
-        x = model.states() * (1 + NUDGE) + NUDGE
+        x = _beside(model.states())
         model.go(model.t, x)
         found = model.states()
     yield from (f"state {k + 1}: {found[k]:.17g} instead of {x[k]:.17g}" for k in np.flatnonzero(found != x))
@@ -233,6 +240,7 @@ def _nominals(subject: Subject) -> Iterator[str]:
 def _order(subject: Subject) -> Iterator[str]:
     with _with_states(subject) as model:
         model.steps(3)
+        model.go(model.t, _beside(model.states()))
         derivatives = [u.variable for u in subject.description.derivatives]
         states = [v.derivative for v in derivatives if v.derivative is not None]
         for variables, vector in ((derivatives, model.derivatives()), (states, model.states())):
@@ -382,6 +390,7 @@ def _agrees(subject: Subject) -> Iterator[str]:
                 raise NotApplicable("it has events in the first steps")
     with Run(subject, moved=False) as run:
         run.begin()
+        offset_inputs(run.instance)
         other = run.steps()[1:]
     table = np.array(rows)
     scale = AGREEMENT * np.maximum(np.ptp(table, axis=0), np.ptp(other, axis=0)) + AGREEMENT_FLOOR * np.max(np.abs(table), axis=0)

@@ -24,6 +24,7 @@ from bristle.fmus.conformance.running import (
     STEPS,
     NotApplicable,
     Run,
+    ask,
     ask_several,
     behaviour,
     differing,
@@ -31,6 +32,7 @@ from bristle.fmus.conformance.running import (
     steps_within,
     tuned,
 )
+from bristle.fmus.conformance.states import STORE
 
 LIVES = 40  # of an instance, over which memory may not grow
 FIRST_LIVES = 10  # after which memory in use is first looked at
@@ -38,6 +40,7 @@ LIVES_SECONDS = 5.0  # s that lives may take
 ALLOWED_GROWTH = 48  # bytes a life, which are less than those of an instance
 ALLOWED_HANDLES = 10  # files or threads that lives may leave
 THREAD_STEPS = 200  # steps of the instances that run in threads
+SIGNALS_OF_GLIBC = 0b11 << 31  # numbers 32 and 33, which it takes when a thread begins
 SWITCH_INTERVAL = 1e-5  # s between two looks of Python at its other threads
 
 
@@ -79,11 +82,16 @@ def _unload(library: ctypes.CDLL) -> None:
 
 @behaviour("run-reset", "after a reset it is as new")
 def _reset(subject: Subject) -> Iterator[str]:
-    expected = fresh(subject)
+    with Run(subject) as run:
+        run.begin()
+        inputs, expected = run.input_values(), run.steps()
     with tuned(subject) as run:
         run.steps()
         run.instance.do("Reset")
         run.begin()
+        for name, value in run.input_values().items():
+            if value != inputs[name]:
+                yield f"{name}: {value:.17g} instead of {inputs[name]:.17g}"
         yield from differing(run.columns, expected, run.steps())
 
 
@@ -205,6 +213,17 @@ def _freed(subject: Subject) -> Iterator[str]:
         yield f"{grown / LIVES:.0f} bytes an instance"
 
 
+@behaviour("run-states-freed", "allocated memory does not grow with states that are stored and freed", Severity.warning)
+def _states_freed(subject: Subject) -> Iterator[str]:
+    ask(subject, *STORE)
+    used = _ask_allocated()
+    with Run(subject) as run:
+        run.begin()
+        grown = _grown(lambda: run.instance.free_state(run.instance.get_state()), used)
+    if grown > ALLOWED_GROWTH * LIVES:
+        yield f"{grown / LIVES:.0f} bytes a state"
+
+
 @behaviour("run-handles", "neither open files nor threads are left by instances", Severity.warning)
 def _handles(subject: Subject) -> Iterator[str]:
     _ask_proc()
@@ -219,18 +238,19 @@ def _environment() -> dict[str, str]:
     """Return what an FMU shares with its host and should leave alone."""
     library = ctypes.CDLL(None)
     library.setlocale.restype = ctypes.c_char_p
-    mask = os.umask(0)
-    os.umask(mask)
+    files = os.umask(0)
+    os.umask(files)
     seen = {
         "working directory": os.getcwd(),
         "locale": (library.setlocale(6, None) or b"").decode(),  # LC_ALL of glibc
-        "file mode mask": oct(mask),
+        "file mode mask": oct(files),
         "rounding": str(_rounding()),
         "subnormal numbers": "kept" if float(np.float64(1e-310) * np.float64(0.5)) > 0 else "flushed to zero",
     }
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(("SigBlk", "SigIgn", "SigCgt")):
-            seen[f"signals {line.split()[0]}"] = line.split()[1]
+            name, mask = line.split()
+            seen[f"signals {name.rstrip(':')}"] = f"{int(mask, 16) & ~SIGNALS_OF_GLIBC:016x}"
     return seen
 
 

@@ -115,6 +115,12 @@ def moved_inputs(subject: Subject) -> dict[str, tuple[float, float]]:
     return found
 
 
+def offset_inputs(instance: Instance) -> None:
+    """Set real inputs apart from their start values; an FMU may refuse what it does not know as its range."""
+    for name, (start, size) in moved_inputs(instance.subject).items():
+        instance.write(name, [within(instance.subject, name, start + size)])
+
+
 class Run:
     """An instance of Co-Simulation and the numbers that it gives, step by step.
 
@@ -151,6 +157,10 @@ class Run:
     def outputs(self) -> list[float]:
         """Read its outputs."""
         return [float(value) for name in self.names for value in self.instance.get(name)]
+
+    def input_values(self) -> dict[str, float]:
+        """Read its real inputs."""
+        return {name: self.instance.number(name) for name in self.subject.scalars("input")}
 
     def move(self) -> None:
         """Set the inputs of the next step; an FMU may refuse what it does not know as its range."""

@@ -42,10 +42,10 @@ def _from(run: Run, place: tuple[float, int], n: int = STEPS) -> Array:
 def _state(subject: Subject) -> Iterator[str]:
     ask(subject, *STORE)
     with _begun(subject) as run:
-        place, state, inputs = _place(run), run.instance.get_state(), _inputs(run)
+        place, state, inputs = _place(run), run.instance.get_state(), run.input_values()
         expected = run.steps()
         run.instance.set_state(state)
-        for name, value in _inputs(run).items():
+        for name, value in run.input_values().items():
             if value != inputs[name]:
                 yield f"{name}: {value:.17g} instead of {inputs[name]:.17g}"
         yield from differing(run.columns, expected, _from(run, place))
@@ -101,10 +101,6 @@ def _uninitialised(subject: Subject) -> Iterator[str]:
         run.begin()
         place = _place(run)
         yield from _elsewhere(run, run.steps(), b"", place, FILLED)
-
-
-def _inputs(run: Run) -> dict[str, float]:
-    return {name: run.instance.number(name) for name in run.subject.scalars("input")}
 
 
 def _elsewhere(

@@ -23,13 +23,14 @@ from bristle.fmus.conformance.running import (
 )
 
 MOST_STEPS = 2000  # of the default experiment that are run
-LONG_STEPS = 10  # steps of MULTIPLE times the usual size, for step sizes and splits
-MULTIPLE = 4
+LONG_STEPS = 10  # long steps, for step sizes and splits
+MULTIPLE, SPLIT = 4, 2  # usual step sizes that a long step has, where it is halved twice, and where it is split unevenly
 DIVERGENCE = 1.5  # by which differences may grow where steps become half as long
 SMALL_SHARE = 1e-3  # differences, as share of an output's range, that are not judged
 LARGE = 1e30  # an input that no model expects
 LARGE_TIMES = 1000.0  # default experiments that a huge step lasts
 LONGEST_STEP = 2.0  # s that a step of an odd or huge size may take
+JUMP = 5  # steps by which a communication point is wrong
 LATER = 3.0  # s, a start time that is not zero
 VARIABLE = "canHandleVariableCommunicationStepSize"
 
@@ -52,11 +53,11 @@ def _experiment(subject: Subject) -> Iterator[str]:
                     return
 
 
-def _sampled(subject: Subject, parts: Sequence[float]) -> tuple[list[str], Array]:
-    """Return the names and outputs, shape (LONG_STEPS, outputs), with long steps that are split in parts."""
+def _sampled(subject: Subject, parts: Sequence[float], multiple: int) -> tuple[list[str], Array]:
+    """Return the names and outputs, shape (LONG_STEPS, outputs), with steps of some usual sizes that are split in parts."""
     with Run(subject) as run:
         run.begin()
-        h = MULTIPLE * run.h
+        h = multiple * run.h
         return run.columns, np.array([run.step(h, parts) for _ in range(LONG_STEPS)], dtype=float)
 
 
@@ -70,7 +71,7 @@ def _scale(*tables: Array) -> Array:
 def _convergence(subject: Subject) -> Iterator[str]:
     tables = []
     for parts in (1, 2, 4):
-        names, table = _sampled(subject, [1 / parts] * parts)
+        names, table = _sampled(subject, [1 / parts] * parts, MULTIPLE)
         tables.append(table)
     scale = _scale(*tables)
     first, second = (np.mean(np.abs(b - a), axis=0) / scale for a, b in itertools.pairwise(tables))
@@ -81,7 +82,7 @@ def _convergence(subject: Subject) -> Iterator[str]:
 @behaviour("run-split", "steps of varying size lead to the same outputs as equal ones", Severity.warning)
 def _split(subject: Subject) -> Iterator[str]:
     ask(subject, VARIABLE)
-    (names, whole), (_, even), (_, odd) = (_sampled(subject, parts) for parts in ([1.0], [0.5, 0.5], [0.25, 0.75]))
+    (names, whole), (_, even), (_, odd) = (_sampled(subject, parts, SPLIT) for parts in ([1.0], [0.5, 0.5], [0.25, 0.75]))
     scale = _scale(whole, even, odd)
     allowed = 2 * np.max(np.abs(even - whole), axis=0) / scale + SMALL_SHARE
     off = np.max(np.abs(odd - even), axis=0) / scale
@@ -100,6 +101,15 @@ def _noise(subject: Subject) -> Iterator[str]:
                 yield f"the step from {noisy:.17g} s in place of {run.t:.17g} s has status {status}{run.instance.last_message()}"
                 return
             run.t += run.h
+
+
+@behaviour("run-jump", "a step from another time than where it is, is refused", Severity.note)
+def _jump(subject: Subject) -> Iterator[str]:
+    with Run(subject) as run:
+        run.begin()
+        run.steps(2)
+        if not refused(run.instance.step_status(run.t + JUMP * run.h, run.h)):
+            yield f"a step from {run.t + JUMP * run.h:g} s in place of {run.t:g} s has status OK"
 
 
 @behaviour("run-later", "it starts at another time than zero", Severity.warning)

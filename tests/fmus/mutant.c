@@ -118,7 +118,7 @@ static double output(M *m)
 }
 static void start(M *m)
 {
-    double v = m->d.v[V], k = m->d.v[K];
+    double u = m->d.v[U], v = m->d.v[V], k = m->d.v[K];
     int exchange = m->d.exchange;
     memset(&m->d, 0, sizeof m->d);
     m->d.exchange = exchange;
@@ -126,6 +126,7 @@ static void start(M *m)
     if (is("sharedparameter")) kept = 0;
     m->d.i = is("startinteger") ? 4 : 3;
     m->d.b = true;
+    if (is("resetinput")) m->d.v[U] = u;
     if (is("reset") || (is("exchangereset") && exchange)) m->d.v[V] = v;
     if (is("again")) m->d.v[V] = 1e-3 * lives;
     if (is("reload")) m->d.v[V] = 1e-3 * (lives > 0);
@@ -340,7 +341,7 @@ F(SetBoolean)(M *m, const Vr *vr, size_t n, const Bool *x COUNT)
 }
 F(GetBoolean)(M *m, const Vr *vr, size_t n, Bool *x COUNT)
 {
-    if (n != 1 || *vr != B) return refuse(m, "no such variable");
+    if (n != 1 || (*vr != B && !is("othertype"))) return refuse(m, "no such variable");
     *x = m->d.b;
     return OK;
 }
@@ -399,6 +400,7 @@ F(GetAdjointDerivative)(M *m, const Vr *z, size_t nz, const Vr *x, size_t nx, co
 static int step(M *m, double t, double h)
 {
     if (m->d.mode == END ? !is("late") : m->d.mode != STEP && !is("early")) return refuse(m, "not now");
+    if (is("jump")) m->d.v[TIME] = t;
     if (is("noise") ? t != m->d.v[TIME] : fabs(t - m->d.v[TIME]) > 1e-9 * (1 + fabs(t))) return refuse(m, "another time");
     if (is("oddhang") && isinf(h)) for (;;) pause();
     if (is("hugehang") && h > 100) for (;;) pause();
@@ -492,7 +494,7 @@ F(STATE(Free))(M *m, State **s)
 {
     (void)m;
     if (!*s && is("nullstate")) abort();
-    free(*s);
+    if (!is("leakstate")) free(*s);
     *s = NULL;
     return OK;
 }

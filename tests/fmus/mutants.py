@@ -88,6 +88,7 @@ BEHAVIOUR_MUTANTS: list[tuple[str, int, str]] = [  # value of MUTANT, version of
         "initialq": "run-dependencies", "stepq": "run-feedthrough", "slope": "run-derivatives", "noslope": "run-derivatives",
         "again": "run-again", "reset": "run-reset", "shared": "run-two", "reload": "run-reload", "unload": "run-reload",
         "threads": "run-threads", "leak": "run-memory", "leakinstance": "run-freed", "leakword": "run-freed",
+        "leakstate": "run-states-freed", "jump": "run-jump", "resetinput": "run-reset", "othertype": "run-unknown",
         "lastknown": "exchange-derivatives", "handles": "run-handles", "startthread": "run-handles", "chdir": "run-environment",
         "rounding": "run-environment", "signal": "run-environment", "mask": "run-environment", "file": "run-files",
         "ownfile": "run-files", "folder": "run-folder", "loud": "run-quiet", "loudout": "run-quiet", "state": "run-state",
