@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 from bristle.common.errors import BristleError
+
+MAKING = ".making-"  # how folders begin in which a file is made
+OLD = 24 * 3600.0  # s after which such a folder is taken for one of a process that was killed
+
+_seen: set[tuple[str, int, int, int]] = set()  # files that were compared with their hash: path, size, time, place
 
 
 def cache_folder() -> Path:
@@ -47,15 +54,16 @@ def digest(*parts: str | bytes) -> str:
 
 
 def cached(name: str, make: Callable[[Path], None]) -> Path:
-    """Return the cached file `name`, made by `make(path)` if it is missing.
+    """Return the cached file `name`, made by `make(path)` if it is missing, or damaged since it was made.
 
-    Other processes see a complete file or none; of those that miss the same file at once, one makes it and the others wait.
+    Other processes see a complete file or none; of those that miss the same file at once, one makes it and the others wait. A file
+    is compared with its hash when this process uses it first: a library of which some bytes are wrong would kill it.
     """
     target = cache_folder() / name
     try:
-        if not target.exists():
+        if not _sound(target):
             with _alone(target):
-                if not target.exists():
+                if not _sound(target):
                     _make(target, make)
     except OSError as error:
         raise _unusable(target.parent, error) from None
@@ -71,7 +79,48 @@ def _alone(target: Path) -> AbstractContextManager[object]:
 
 
 def _make(target: Path, make: Callable[[Path], None]) -> None:
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".making-") as folder:
-        fresh = Path(folder) / target.name
+    """Make a file with its hash beside it; a crash between both leaves a file that does not match, and is made again."""
+    _sweep(target.parent)
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=MAKING) as folder:
+        fresh, digest_of = Path(folder) / target.name, Path(folder) / "sum"
         make(fresh)
+        digest_of.write_text(_hash(fresh), encoding="ascii")
+        for path in (fresh, digest_of):
+            with path.open("rb+") as stream:
+                os.fsync(stream.fileno())
+        _sum(target).parent.mkdir(exist_ok=True)
+        os.replace(digest_of, _sum(target))
         os.replace(fresh, target)
+
+
+def _sum(target: Path) -> Path:
+    return target.parent / ".sums" / target.name
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _sound(target: Path) -> bool:
+    """True if a file is there as it was made."""
+    try:
+        found = target.stat()
+        state = (str(target), found.st_size, found.st_mtime_ns, found.st_ino)
+        if state not in _seen:
+            if _sum(target).read_text(encoding="ascii") != _hash(target):
+                return False
+            _seen.add(state)
+    except FileNotFoundError:
+        return False
+    except UnicodeDecodeError:  # of a damaged hash
+        return False
+    return True
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what processes left that were killed while they made a file."""
+    for path in folder.glob(f"{MAKING}*"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > OLD:
+                shutil.rmtree(path, ignore_errors=True)
