@@ -253,8 +253,8 @@ an FMU is right.
 
 The tests have good FMUs of FMI 2 and 3 without findings, and for each point at least one defect that it has to find; which
 points find which defects, and how long it takes, is in
-[benchmarks/results/check_mutants.md](../benchmarks/results/check_mutants.md). What it finds in FMUs of others, and why that is true:
-[benchmarks/results/check_foreign.md](../benchmarks/results/check_foreign.md).
+[benchmarks/results/check_mutants.md](../benchmarks/results/check_mutants.md). What it finds in FMUs of others, and why that is
+true: [benchmarks/results/check_foreign.md](../benchmarks/results/check_foreign.md).
 """
 CHECK_TITLES = {
     "archive": "Archive", "binary": "Libraries", "description": "Description", "run": "Co-Simulation", "exchange": "Model Exchange",
