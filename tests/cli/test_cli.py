@@ -153,6 +153,13 @@ def test_a_folder_is_no_scenario_but_hides_none(tmp_path: Path, inside: Cli, mon
     assert find_scenario(Path("quick")).is_file()
 
 
+def test_the_command_line_is_a_module_too_and_has_a_short_help(tmp_path: Path) -> None:
+    for arguments in (["--version"], ["-h"], ["run", "-h"]):
+        done = subprocess.run([sys.executable, "-m", "bristle", *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.startswith("bristle " if arguments == ["--version"] else "Usage: ")
+
+
 def test_every_command_is_described_in_one_line(inside: Cli) -> None:
     listed = inside("--help").stdout.partition("Commands:")[2].splitlines()
     assert [line.split()[0] for line in listed if line] == [
