@@ -155,7 +155,9 @@ def test_a_folder_is_no_scenario_but_hides_none(tmp_path: Path, inside: Cli, mon
 
 def test_the_command_line_is_a_module_too_and_has_a_short_help(tmp_path: Path) -> None:
     for arguments in (["--version"], ["-h"], ["run", "-h"]):
-        done = subprocess.run([sys.executable, "-m", "bristle", *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "bristle", *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
         assert (done.returncode, done.stderr) == (0, "")
         assert done.stdout.startswith("bristle " if arguments == ["--version"] else "Usage: ")
 
