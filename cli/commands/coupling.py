@@ -33,6 +33,6 @@ def coupling(
     for each in found.schemes:
         error = each.errors[signal]
         lag = "" if error.delay is None else f", {1e3 * error.delay:+.3f} ms late"
-        print(f"{each.name:<52} {signal}: {100 * error.relative:.3g} % off{lag}")
+        print(f"{each.name:<48} {signal}: {100 * error.relative:.3g} % off{lag}, {each.verdict}")
     print(out / "report.html")
     return PASS
