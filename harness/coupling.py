@@ -210,16 +210,6 @@ def _page(found: Coupling) -> bytes:
         f" controller, observer and plant one after the other with steps of {found.step / REFINED:g} s.</p></header>"
     ]
     parts += [f'<p class="alarm">{note}</p>' for note in found.notes]
-    for each in found.schemes:
-        rows = [
-            (
-                identifier(name), number(100 * e.relative, 3), number(e.rms, 3), number(e.largest, 3),
-                "–" if e.delay is None else number(1e3 * e.delay, 3),
-            )
-            for name, e in each.errors.items()
-        ]  # fmt: skip
-        head = ("signal", "rms error, % of its rms", "rms error, SI unit", "largest error, SI unit", "delay, ms")
-        parts.append(f"<h2>{each.name}</h2>" + table(head, rows, (1, 2, 3, 4)))
     known = list(found.refined)
     ways = [("refined", found.verdict, found.refined), *((s.name, s.verdict, s.estimates) for s in found.schemes)]
     ends = [(name, judged, *(number(values.get(each), 5) for each in known)) for name, judged, values in ways]
@@ -231,4 +221,14 @@ def _page(found: Coupling) -> bytes:
     orders = [(identifier(name), "–" if order is None else number(order, 3)) for name, order in found.orders.items()]
     text = "The error falls with this power of the communication step (all at once)."
     parts.append(f"<h2>Order</h2><p>{text}</p>" + table(("signal", "order"), orders, (1,)))
+    for each in found.schemes:
+        rows = [
+            (
+                identifier(name), number(100 * e.relative, 3), number(e.rms, 3), number(e.largest, 3),
+                "–" if e.delay is None else number(1e3 * e.delay, 3),
+            )
+            for name, e in each.errors.items()
+        ]  # fmt: skip
+        head = ("signal", "rms error, % of its rms", "rms error, SI unit", "largest error, SI unit", "delay, ms")
+        parts.append(f"<h2>{each.name}</h2>" + table(head, rows, (1, 2, 3, 4)))
     return page(f"coupling of {found.scenario}", "\n".join(parts)).encode()
