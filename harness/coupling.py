@@ -17,15 +17,18 @@ from bristle.common.html import identifier, number, page, table
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.isolate import simulate_isolated
-from bristle.harness.loop import Bus, Port, Session, Trace, simulate
-from bristle.harness.run import Options, check
+from bristle.harness.loop import Bus, Trace, simulate
+from bristle.harness.plan import Setup
+from bristle.harness.run import Options, check, verdict
 
 Array = NDArray[np.float64]
 Told = Callable[[str, float], None]
 
-REFINED = 16  # of the scenario's step: size of the steps of the reference
+REFINED = 16  # steps of the reference in one of the scenario
 DIVISIONS = (1, 2, 4)  # of the step, with all FMUs at once
-ORDERS = (("plant", "controller", "observer"), ("controller", "plant", "observer"))  # one FMU after the other
+MONOLITHIC = ("controller", "observer", "plant")  # both that are sampled read the bus at t_k, then the plant moves on
+ORDERS = (MONOLITHIC, ("controller", "plant", "observer"), ("plant", "controller", "observer"))  # one FMU after the other
+APPLIED = ("plant", "u")  # the input that acts on the plant, recorded beside the outputs
 SHIFT_ROUNDS = 8  # Newton steps of a delay
 ESTIMATED_STATES = ("theta", "v", "w", "F")  # which an observer estimates beside parameters
 LEAST_ERROR = 1e-12  # of the size of a signal: errors below it are rounding, and show no order
@@ -43,19 +46,21 @@ class Error:
 
 @dataclass(frozen=True)
 class Scheme:
-    """A way to couple the FMUs, and what it gives: errors and final estimates by name."""
+    """A way to couple the FMUs, and what it gives: the verdict of the scenario, errors and final estimates by name."""
 
     name: str
+    verdict: str
     errors: Mapping[str, Error]
     estimates: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """All schemes, the estimates of the refined run, and by signal the order at which its error falls with the step."""
+    """All schemes, verdict and estimates of the refined run, and by signal the order at which its error falls with the step."""
 
     scenario: str
     step: float
+    verdict: str
     schemes: tuple[Scheme, ...]
     refined: Mapping[str, float]
     orders: Mapping[str, float | None]
@@ -86,23 +91,23 @@ def coupling(path: Path, out: Path, options: Options | None = None, progress: To
         setup = checked.setup
         if setup.samples is not None:
             raise setup.loaded.error("record", None, "a measured record couples nothing; give a scenario with a [plant]")
-        found = compare(checked.bus, setup.loaded.name, progress or (lambda name, share: None))
+        found = compare(setup, checked.bus, progress or (lambda name, share: None))
         files = {"coupling.json": _json(found), "report.html": _page(found)}
         replace_files(out, files, list(files))
     return found
 
 
-def compare(bus: Bus, scenario: str, progress: Told) -> Coupling:
+def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
     """Run a bus in all couplings."""
-    bus = replace(bus, flags=())
+    scenario, bus = setup.loaded.name, replace(bus, record=(*bus.record, APPLIED))
     units = [each.name for each in bus.instances]
-    orders = [] if bus.risky else [tuple(u for u in order if u in units) for order in ORDERS]
-    notes = ("FMUs from elsewhere are run all at once only.",) if bus.risky else ()
-    ways: dict[str, Callable[[], Trace]] = {}
-    for parts in (REFINED, *DIVISIONS):
-        ways[f"all at once, step {bus.h / parts:g} s"] = partial(divided, bus, parts)
-    for order in dict.fromkeys(orders):
-        ways[f"{' - '.join(order)}, step {bus.h:g} s"] = partial(sequential, bus, order)
+    exact, *orders = dict.fromkeys(tuple(u for u in order if u in units) for order in (MONOLITHIC, *ORDERS, ()))
+    notes: tuple[str, ...] = ()
+    ways = {f"{' - '.join(exact)}, step {bus.h / REFINED:g} s": partial(coupled, bus, REFINED, exact)}
+    for parts in DIVISIONS:
+        ways[f"all at once, step {bus.h / parts:g} s"] = partial(coupled, bus, parts)
+    for order in (exact, *filter(None, orders)):
+        ways[f"{' - '.join(order)}, step {bus.h:g} s"] = partial(coupled, bus, 1, order)
     traces: dict[str, Trace] = {}
     for k, (name, run) in enumerate(ways.items()):
         progress(name, k / len(ways))
@@ -116,49 +121,19 @@ def compare(bus: Bus, scenario: str, progress: Told) -> Coupling:
             del traces[name]
     best, *others = traces
     rows = min(len(trace.values) for trace in traces.values())
-    schemes = tuple(_scheme(name, traces[name], traces[best], rows) for name in others)
-    return Coupling(scenario, bus.h, schemes, _estimates(traces[best], rows), _orders(schemes), notes)
+    schemes = tuple(_scheme(name, _judged(setup, traces[name]), traces[name], traces[best], rows) for name in others)
+    return Coupling(scenario, bus.h, _judged(setup, traces[best]), schemes, _estimates(traces[best], rows), _orders(schemes), notes)
 
 
-def divided(bus: Bus, parts: int) -> Trace:
-    """Run a bus with its step divided into parts (Jacobi), and return every such row; sampled FMUs keep their sample time."""
-    fine = replace(
-        bus, steps=bus.steps * parts, h=bus.h / parts, events=tuple((step * parts, to, value) for step, to, value in bus.events),
-        series={port: np.repeat(values, parts) for port, values in bus.series.items()},
-    )  # fmt: skip
-    trace = simulate_isolated(fine) if fine.risky else simulate(fine)
-    return Trace(trace.record, trace.values[::parts], bus.h, trace.flags, trace.failure)
+def coupled(bus: Bus, parts: int = 1, order: Sequence[str] = ()) -> Trace:
+    """Run a bus with its step divided into parts; sampled FMUs keep their sample time.
 
-
-def sequential(bus: Bus, order: Sequence[str]) -> Trace:
-    """Run a bus one FMU after the other, each with what those before it have published in this step (Gauss-Seidel)."""
-    with Session(bus) as session:
-        nodes, events = session.nodes, list(bus.events)
-        values = np.full((bus.steps + 1, len(bus.record)), np.nan)
-        links = {unit: [(a, b) for a, b in bus.links if b[0] == unit] for unit in order}
-        for node in nodes.values():
-            node.read()
-
-        def write(port: Port, value: float) -> None:
-            array, place = nodes[port[0]].place(port[1])
-            array[place] = value
-
-        def read(port: Port) -> float:
-            array, place = nodes[port[0]].place(port[1])
-            return float(array[place])
-
-        values[0] = [read(port) for port in bus.record]
-        for k in range(bus.steps):
-            while events and events[0][0] <= k:
-                write(*events.pop(0)[1:])
-            for port, series in bus.series.items():
-                write(port, float(series[k]))
-            for unit in order:
-                for source, target in links[unit]:
-                    write(target, read(source))
-                nodes[unit].step(k * bus.h, bus.h)
-            values[k + 1] = [read(port) for port in bus.record]
-    return Trace(bus.record, values, bus.h, [])
+    All FMUs at once (Jacobi), or in an order of their names, each with what those before it have just published (Gauss-Seidel).
+    """
+    units = {each.name: each for each in bus.instances}
+    instances = tuple(units[name] for name in order) or bus.instances
+    bus = replace(bus, instances=instances, split=parts, sequential=bool(order))
+    return simulate_isolated(bus) if bus.risky else simulate(bus)
 
 
 def delay(signal: Array, reference: Array, h: float) -> float | None:
@@ -178,16 +153,23 @@ def delay(signal: Array, reference: Array, h: float) -> float | None:
     return shift
 
 
-def _scheme(name: str, trace: Trace, best: Trace, rows: int) -> Scheme:
+def _judged(setup: Setup, trace: Trace) -> str:
+    """Return the verdict; the input that acts on the plant is no signal of a result."""
+    return verdict(setup, Trace(trace.record[:-1], trace.values[:, :-1], trace.h, trace.flags, trace.failure))
+
+
+def _scheme(name: str, verdict: str, trace: Trace, best: Trace, rows: int) -> Scheme:
     errors = {}
     for unit, variable in trace.record:
         exact, got = best[unit, variable][:rows], trace[unit, variable][:rows]
+        if (unit, variable) == APPLIED:  # row k + 1 is what acts from t_k to t_k+1, the others are the bus at t_k
+            exact, got = exact[1:], got[1:]
         if unit == "observer" or not np.ptp(exact):  # what an observer says of itself is no signal of the loop
             continue
         difference, size = got - exact, float(np.sqrt(np.mean(exact**2)))
         rms = float(np.sqrt(np.mean(difference**2)))
         errors[f"{unit}.{variable}"] = Error(rms, float(np.abs(difference).max()), rms / size, delay(got, exact, trace.h))
-    return Scheme(name, errors, _estimates(trace, rows))
+    return Scheme(name, verdict, errors, _estimates(trace, rows))
 
 
 def _estimates(trace: Trace, rows: int) -> dict[str, float]:
@@ -209,12 +191,13 @@ def _orders(schemes: Sequence[Scheme]) -> dict[str, float | None]:
 
 def _json(found: Coupling) -> bytes:
     schemes = [
-        {"name": s.name, "signals": {k: vars(e) for k, e in s.errors.items()}, "estimates": dict(s.estimates)}
+        {"name": s.name, "verdict": s.verdict, "signals": {k: vars(e) for k, e in s.errors.items()}, "estimates": dict(s.estimates)}
         for s in found.schemes
     ]
     content: dict[str, Any] = {
         "scenario": found.scenario, "step_s": found.step, "schemes": schemes, "orders": dict(found.orders),
-        "refined": {"step_s": found.step / REFINED, "estimates": dict(found.refined)}, "notes": list(found.notes),
+        "refined": {"step_s": found.step / REFINED, "verdict": found.verdict, "estimates": dict(found.refined)},
+        "notes": list(found.notes),
         "provenance": provenance(),
     }  # fmt: skip
     return to_json(plain(content)).encode()
@@ -223,9 +206,21 @@ def _json(found: Coupling) -> bytes:
 def _page(found: Coupling) -> bytes:
     parts = [
         f"<header><h1>Coupling of {identifier(found.scenario)}</h1><p class='lead'>What the order of the FMUs and the"
-        f" communication step change, against all at once with a step of {found.step / REFINED:g} s.</p></header>"
+        f" communication step change, against"
+        f" controller, observer and plant one after the other with steps of {found.step / REFINED:g} s.</p></header>"
     ]
     parts += [f'<p class="alarm">{note}</p>' for note in found.notes]
+    known = list(found.refined)
+    ways = [("refined", found.verdict, found.refined), *((s.name, s.verdict, s.estimates) for s in found.schemes)]
+    ends = [(name, judged, *(number(values.get(each), 5) for each in known)) for name, judged, values in ways]
+    parts.append(
+        "<h2>Verdict and estimates at the end</h2><p>In the unit of the estimate; the verdict is by the checks of the"
+        " scenario that need no second run.</p>"
+    )
+    parts.append(table(("coupling", "verdict", *map(identifier, known)), ends, tuple(range(2, len(known) + 2))))
+    orders = [(identifier(name), "–" if order is None else number(order, 3)) for name, order in found.orders.items()]
+    text = "The error falls with this power of the communication step (all at once)."
+    parts.append(f"<h2>Order</h2><p>{text}</p>" + table(("signal", "order"), orders, (1,)))
     for each in found.schemes:
         rows = [
             (
@@ -236,14 +231,4 @@ def _page(found: Coupling) -> bytes:
         ]  # fmt: skip
         head = ("signal", "rms error, % of its rms", "rms error, SI unit", "largest error, SI unit", "delay, ms")
         parts.append(f"<h2>{each.name}</h2>" + table(head, rows, (1, 2, 3, 4)))
-    names = [each.name for each in found.schemes]
-    estimates = []
-    for name, value in found.refined.items():
-        others = [number(100 * (each.estimates.get(name, 0.0) / value - 1), 3) for each in found.schemes]
-        estimates.append([identifier(name), number(value, 5), *others])
-    parts.append("<h2>Estimates at the end</h2><p>In the refined run, and how far the others are from it, in %.</p>")
-    parts.append(table(("estimate", "refined", *names), estimates, tuple(range(1, len(names) + 2))))
-    orders = [(identifier(name), "–" if order is None else number(order, 3)) for name, order in found.orders.items()]
-    text = "The error falls with this power of the communication step (all at once)."
-    parts.append(f"<h2>Order</h2><p>{text}</p>" + table(("signal", "order"), orders, (1,)))
     return page(f"coupling of {found.scenario}", "\n".join(parts)).encode()

@@ -1,4 +1,5 @@
-/* Jacobi co-simulation over the functions of loaded FMUs: every unit sees the bus as it stood at the start of the step.
+/* Co-simulation over the functions of loaded FMUs. Jacobi: every unit sees the bus as it stood at the start of the step;
+ * sequential (Gauss-Seidel): a unit sees what those before it have just published.
  * harness/loop.py holds the twin of these structures and the same loop through FMPy's calls; the two give the same digits. */
 #include <math.h>
 #include <stdbool.h>
@@ -31,7 +32,7 @@ typedef struct {
     double *in, *out;
 } Unit;
 
-typedef struct { const double *from; double *to; double factor; } Link; /* between the units of the two FMUs */
+typedef struct { const double *from; double *to; double factor; long long unit; } Link; /* factor between units of measurement; unit: that of `to` */
 typedef struct { long long step; double *to; double value; } Event;
 
 typedef struct {
@@ -42,11 +43,13 @@ typedef struct {
     const double *series;
     const double *const *taps;      /* row k of record is the bus at the start of step k, times factors */
     const double *factors;
+    const long long *mean;          /* not 0: what is kept is the mean over the communication steps of a row */
     double *record;
     volatile long long *control;    /* [0] steps done, [1] not 0: stop, [3] unit at work */
     long long next_event;
     long long n_units, n_links, n_events, n_series, n_taps;
-    double h;
+    long long split, sequential;    /* communication steps a row; Gauss-Seidel in the order of the units */
+    double h;                       /* time between two rows */
     long long failed_unit, failed_status, failed_call;
 } Master;
 
@@ -102,7 +105,43 @@ static int unit_step(const Unit *u, double time, double h)
 static void write_row(const Master *m, long long row)
 {
     double *out = m->record + row * m->n_taps;
-    for (long long i = 0; i < m->n_taps; i++) out[i] = *m->taps[i] * m->factors[i];
+    for (long long i = 0; i < m->n_taps; i++)
+        if (!m->mean[i]) out[i] = *m->taps[i] * m->factors[i];
+}
+
+static void add_means(const Master *m, long long row)
+{
+    double *out = m->record + row * m->n_taps;
+    for (long long i = 0; i < m->n_taps; i++)
+        if (m->mean[i]) out[i] += *m->taps[i] * m->factors[i] / (double)m->split;
+}
+
+static void transfer(const Master *m, long long unit)
+{
+    for (long long i = 0; i < m->n_links; i++)
+        if (m->links[i].unit == unit) *m->links[i].to = *m->links[i].from * m->links[i].factor;
+}
+
+/* Set the inputs of all units, do a step, read the outputs; returns the status of the unit that failed, if one did. */
+static int step_all(Master *m, double time, double h)
+{
+    for (long long i = 0; i < m->n_units && !m->sequential; i++) transfer(m, i);
+    for (long long i = 0; i < m->n_units; i++) {
+        const Unit *u = &m->units[i];
+        long long call = 0; /* inputs, step, outputs */
+        m->control[3] = i;
+        if (m->sequential) transfer(m, i);
+        int status = unit_set(u);
+        if (status <= WARNING) call = 1, status = unit_step(u, time, h);
+        if (status <= WARNING) call = 2, status = unit_get(u, u->out);
+        if (status > WARNING) {
+            m->failed_unit = i;
+            m->failed_status = status;
+            m->failed_call = call;
+            return status;
+        }
+    }
+    return OK;
 }
 
 /* Read all outputs and write row 0 of the record. */
@@ -120,28 +159,18 @@ EXPORT int loop_start(Master *m)
     return OK;
 }
 
-/* Steps first .. first + count - 1; returns how many were done. */
+/* Rows first .. first + count - 1, each of `split` communication steps; returns how many were done. */
 EXPORT long long loop_run(Master *m, long long first, long long count)
 {
+    const double h = m->h / (double)m->split;
     for (long long k = first; k < first + count; k++) {
         if (m->control[1]) return k - first;
         for (; m->next_event < m->n_events && m->events[m->next_event].step <= k; m->next_event++)
             *m->events[m->next_event].to = m->events[m->next_event].value;
         for (long long i = 0; i < m->n_series; i++) *m->series_to[i] = m->series[k * m->n_series + i];
-        for (long long i = 0; i < m->n_links; i++) *m->links[i].to = *m->links[i].from * m->links[i].factor;
-        for (long long i = 0; i < m->n_units; i++) {
-            const Unit *u = &m->units[i];
-            long long call = 0; /* inputs, step, outputs */
-            m->control[3] = i;
-            int status = unit_set(u);
-            if (status <= WARNING) call = 1, status = unit_step(u, (double)k * m->h, m->h);
-            if (status <= WARNING) call = 2, status = unit_get(u, u->out);
-            if (status > WARNING) {
-                m->failed_unit = i;
-                m->failed_status = status;
-                m->failed_call = call;
-                return k - first;
-            }
+        for (long long s = 0; s < m->split; s++) {
+            if (step_all(m, (double)(k * m->split + s) * h, h) > WARNING) return k - first;
+            add_means(m, k + 1);
         }
         write_row(m, k + 1);
         m->control[0] = k + 1;

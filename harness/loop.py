@@ -1,7 +1,8 @@
 """Co-simulation of FMUs over a bus, step by step, and one FMU over a recorded input.
 
 Timing: all units see the bus as it stood at the start of a step (Jacobi). What a unit publishes at t_k+1 was computed
-from the bus of t_k.
+from the bus of t_k. For comparison, `Bus.sequential` lets each unit see what those before it have just published
+(Gauss-Seidel), and `Bus.split` makes several communication steps of each row.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class Bus:
 
     `links` lead from outputs to inputs, `events` are (step, input, value) in order of time, `series` holds recorded
     inputs, a value for each step; `record` names the outputs kept at every step, `flags` what is read only now and
-    then (Booleans, calculated parameters), and `watch` the units whose recorded outputs must stay below `HUGE`.
+    then (Booleans, calculated parameters), and `watch` the units whose recorded outputs must stay below `HUGE`. Of a
+    recorded input, row k + 1 holds what the unit got from t_k to t_k+1, its mean if that are several communication steps.
     """
 
     instances: tuple[Instance, ...]
@@ -61,6 +63,8 @@ class Bus:
     record: tuple[Port, ...] = ()
     flags: tuple[Port, ...] = ()
     watch: tuple[str, ...] = ()
+    split: int = 1
+    sequential: bool = False
 
     @property
     def chunk(self) -> int:
@@ -136,7 +140,7 @@ class _Unit(ctypes.Structure):
 
 
 class _Link(ctypes.Structure):
-    _fields_ = [("from_", ctypes.c_void_p), ("to", ctypes.c_void_p), ("factor", ctypes.c_double)]
+    _fields_ = [("from_", ctypes.c_void_p), ("to", ctypes.c_void_p), ("factor", ctypes.c_double), ("unit", ctypes.c_longlong)]
 
 
 class _Event(ctypes.Structure):
@@ -146,8 +150,9 @@ class _Event(ctypes.Structure):
 class _Master(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("units", "links", "events", "series_to", "series")),
-        *((name, ctypes.c_void_p) for name in ("taps", "factors", "record", "control")),
+        *((name, ctypes.c_void_p) for name in ("taps", "factors", "mean", "record", "control")),
         *((name, ctypes.c_longlong) for name in ("next_event", "n_units", "n_links", "n_events", "n_series", "n_taps")),
+        ("split", ctypes.c_longlong), ("sequential", ctypes.c_longlong),
         ("h", ctypes.c_double),
         *((name, ctypes.c_longlong) for name in ("failed_unit", "failed_status", "failed_call")),
     ]  # fmt: skip
@@ -249,7 +254,8 @@ class Session:
         self.control = np.zeros(CONTROL_SIZE, dtype=np.int64) if control is None else control
         try:
             self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
-            self.values = np.empty((bus.steps + 1, len(bus.record)))
+            self.values = np.zeros((bus.steps + 1, len(bus.record)))
+            self.mean = np.array([name in self.nodes[unit].inputs for unit, name in bus.record], dtype=np.int64)
             self.flags = [(0, self._read_flags())]
         except BaseException:
             self.close()
@@ -262,7 +268,7 @@ class Session:
         driven = [*(to for _, to in bus.links), *(to for _, to, _ in bus.events), *bus.series]
         read = [*(source for source, _ in bus.links), *bus.record]
         inputs = dict.fromkeys(variable for unit, variable in driven if unit == name)
-        outputs = dict.fromkeys(variable for unit, variable in read if unit == name)
+        outputs = dict.fromkeys(variable for unit, variable in read if unit == name and variable not in inputs)
         return Node(slave, list(inputs), list(outputs))
 
     def _read_flags(self) -> dict[Port, float]:
@@ -293,7 +299,7 @@ class Session:
         bus, lib, names = self.bus, library(), list(self.nodes)
         units = (_Unit * len(names))(*(node.structure() for node in self.nodes.values()))
         links = (_Link * len(bus.links))(
-            *(_Link(self._address(a), self._address(b), self._worth(a) / self._worth(b)) for a, b in bus.links)
+            *(_Link(self._address(a), self._address(b), self._worth(a) / self._worth(b), names.index(b[0])) for a, b in bus.links)
         )
         events = (_Event * len(bus.events))(
             *(_Event(step, self._address(to), value / self._worth(to)) for step, to, value in bus.events)
@@ -305,8 +311,8 @@ class Session:
         factors = np.array([self._worth(port) for port in bus.record], dtype=float)
         master = _Master(
             ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
-            _pointer(taps), _pointer(factors), _pointer(self.values), _pointer(self.control),
-            0, len(units), len(links), len(events), len(series_to), len(taps), bus.h, -1, 0, 0,
+            _pointer(taps), _pointer(factors), _pointer(self.mean), _pointer(self.values), _pointer(self.control),
+            0, len(units), len(links), len(events), len(series_to), len(taps), bus.split, bus.sequential, bus.h, -1, 0, 0,
         )  # fmt: skip
         lib.loop_start(ctypes.byref(master))
         done = 0
@@ -344,15 +350,11 @@ class Session:
             for (unit, name), values in bus.series.items():
                 array, index = nodes[unit].place(name)
                 array[index] = values[k] / self._worth((unit, name))
-            for source, to in bus.links:
-                factor = self._worth(source) / self._worth(to)
-                places[to][0][places[to][1]] = places[source][0][places[source][1]] * factor
-            for unit, node in nodes.items():
-                WATCH.begin(node.slave.fmu.path, Call.step)
-                try:
-                    node.step(k * bus.h, bus.h)
-                except Exception as error:  # FMPy raises plain exceptions of several kinds
-                    return self._trace(k * bus.h, self._blame(unit, k * bus.h, " ".join(str(error).split())))
+            for part in range(bus.split):
+                failure = self._step_fmpy(k * bus.split + part, places)
+                if failure is not None:
+                    return self._trace(k * bus.h, failure)
+                self.values[k + 1, self._averaged] += self._seen(places)[self._averaged] / bus.split
             k += 1
             self._write_row(k, places)
             self.control[0] = k
@@ -363,10 +365,37 @@ class Session:
                 self._pause(k, progress, True)
         return self._trace(k * bus.h)
 
+    @property
+    def _averaged(self) -> NDArray[np.bool_]:
+        return self.mean.astype(bool)
+
+    def _step_fmpy(self, step: int, places: Mapping[Port, tuple[Array, int]]) -> Failure | None:
+        """Do one communication step of all units; return why one failed."""
+        bus, h = self.bus, self.bus.h / self.bus.split
+        if not bus.sequential:
+            self._transfer(list(self.nodes), places)
+        for unit, node in self.nodes.items():
+            if bus.sequential:
+                self._transfer([unit], places)
+            WATCH.begin(node.slave.fmu.path, Call.step)
+            try:
+                node.step(step * h, h)
+            except Exception as error:  # FMPy raises plain exceptions of several kinds
+                return self._blame(unit, step * h, " ".join(str(error).split()))
+        return None
+
+    def _transfer(self, units: Sequence[str], places: Mapping[Port, tuple[Array, int]]) -> None:
+        for source, to in self.bus.links:
+            if to[0] in units:
+                factor = self._worth(source) / self._worth(to)
+                places[to][0][places[to][1]] = places[source][0][places[source][1]] * factor
+
+    def _seen(self, places: Mapping[Port, tuple[Array, int]]) -> Array:
+        """Return what is recorded as it stands, in the units of the bus."""
+        return np.array([places[port][0][places[port][1]] * self._worth(port) for port in self.bus.record], dtype=float)
+
     def _write_row(self, k: int, places: Mapping[Port, tuple[Array, int]]) -> None:
-        for i, port in enumerate(self.bus.record):
-            array, index = places[port]
-            self.values[k, i] = array[index] * self._worth(port)
+        self.values[k, ~self._averaged] = self._seen(places)[~self._averaged]
 
     # -- the end -----------------------------------------------------------------------------------------------------
 

@@ -41,6 +41,7 @@ from bristle.harness.validation import (
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
 
+SECOND_RUNS = ("validation", "tracking")  # parts of result.json that take one
 LATE_FRICTION = 0.25  # share of the run, at its end, that the friction curve shows
 
 
@@ -180,6 +181,14 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
     findings = (*_trusted(setup), *(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
     return Outcome(result, view, validated, findings, followed)
+
+
+def verdict(setup: Setup, trace: Trace) -> str:
+    """Judge a run by the checks that need no second run; pass or fail."""
+    result = _measure(setup, trace, View(setup, trace))
+    checks = [each for each in setup.scenario.checks if each.quantity.partition(".")[0] not in SECOND_RUNS]
+    judged = metrics.judge(result, checks)
+    return "pass" if all(check["pass"] for check in judged) and "diverged" not in result else "fail"
 
 
 def execute(checked: Checked, progress: Progress | None = None) -> Run:

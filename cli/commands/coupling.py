@@ -7,11 +7,14 @@ from typing import Annotated
 
 import typer
 
-from bristle.cli.app import PASS, DebugOption, Fmi, FmiOption, app, path_of
+from bristle.cli.app import FAIL, PASS, DebugOption, Fmi, FmiOption, app, path_of
 from bristle.cli.terminal import fraction
 
 
-@app.command(short_help="Say what the order of the FMUs and the communication step change.")
+@app.command(
+    short_help="Say what the order of the FMUs and the communication step change.",
+    epilog="Exit code 0: the verdict of the scenario is pass in every coupling; 1: in one it is fail; 2: an error.",
+)
 def coupling(
     scenario: Annotated[Path, typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of)],
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out/coupling"),
@@ -33,6 +36,6 @@ def coupling(
     for each in found.schemes:
         error = each.errors[signal]
         lag = "" if error.delay is None else f", {1e3 * error.delay:+.3f} ms late"
-        print(f"{each.name:<52} {signal}: {100 * error.relative:.3g} % off{lag}")
+        print(f"{each.name:<48} {signal}: {100 * error.relative:.3g} % off{lag}, {each.verdict}")
     print(out / "report.html")
-    return PASS
+    return PASS if {found.verdict, *(each.verdict for each in found.schemes)} == {"pass"} else FAIL

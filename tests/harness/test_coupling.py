@@ -1,12 +1,13 @@
 """What coupling costs: delays that are put in are found, and errors fall as they must."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.harness.coupling import coupling, delay, divided, sequential
+from bristle.harness.coupling import APPLIED, MONOLITHIC, coupled, coupling, delay
 from bristle.harness.loop import simulate
 from bristle.harness.run import Options, check
 
@@ -15,7 +16,7 @@ duration = "4 s"
 [plant]
 law = "viscous"
 [controller.parameters]
-order = 2
+order = 1
 [observer]
 method = "rls"
 [[checks]]
@@ -43,30 +44,49 @@ def test_a_delay_is_found_in_fractions_of_a_sample(shift):
     assert delay(np.ones(9), np.ones(9), h) is None
 
 
-def test_all_at_once_and_in_the_order_of_the_loop_differ_by_the_delay_of_a_step(scenario, tmp_path):
-    """Controller before plant: the voltage acts a step earlier than with all at once."""
+def test_one_after_the_other_takes_away_the_step_by_which_the_voltage_is_late(scenario, tmp_path):
+    """What acts on the plant from t_k is of the velocity at t_k, and of that at t_k-1 with all at once."""
     bus = check(scenario, tmp_path / "out").bus
-    jacobi, seidel = simulate(bus), sequential(bus, ("controller", "plant", "observer"))
-    assert delay(jacobi["controller", "u"][:-1], seidel["controller", "u"][:-1], bus.h) == pytest.approx(0.0, abs=2 * bus.h)
-    again = divided(bus, 1)
-    assert np.array_equal(again.values, jacobi.values)  # undivided, it is the run itself
-    one = sequential(bus, ("observer",))  # nothing else moves: the same inputs as at the start
-    assert np.ptp(one["plant", "v"]) == 0
+    bus = replace(bus, record=(*bus.record, APPLIED, ("controller", "y_v")))
+    jacobi, seidel = coupled(bus), coupled(bus, 1, MONOLITHIC)
+    v, u = seidel["plant", "v"], seidel[APPLIED]
+    assert np.array_equal(seidel["controller", "y_v"][1:], v[:-1])
+    assert np.array_equal(u[1:], seidel["controller", "u"][1:])
+    assert np.array_equal(jacobi[APPLIED][1:], jacobi["controller", "u"][:-1])
+    assert delay(jacobi[APPLIED][1:], u[1:], bus.h) == pytest.approx(bus.h, rel=0.03)
+
+
+@pytest.mark.parametrize("order", [(), MONOLITHIC])
+def test_both_loops_give_the_same_digits(scenario, tmp_path, order):
+    bus = check(scenario, tmp_path / "out").bus
+    bus = replace(bus, steps=40, record=(*bus.record, APPLIED), split=4, sequential=bool(order))
+    compiled, plain = (simulate(bus, engine=engine) for engine in ("native", "fmpy"))
+    np.testing.assert_allclose(plain.values, compiled.values, rtol=1e-14, atol=1e-300)
 
 
 def test_errors_fall_with_the_step_and_the_report_holds_them(scenario, tmp_path):
     found = coupling(scenario, tmp_path / "out", Options())
-    whole, half, quarter, *orders = found.schemes
-    for name in ("plant.v", "controller.u"):
-        errors = [each.errors[name].rms for each in (whole, half, quarter)]
-        assert errors[0] > 1.5 * errors[1] > 1.5**2 * errors[2] > 0
-        assert found.orders[name] == pytest.approx(1.0, abs=0.35)  # a delay of half a step and its hold
-    assert 0 < quarter.errors["plant.v"].delay < half.errors["plant.v"].delay < whole.errors["plant.v"].delay < 1.5e-3
-    assert [each.name.partition(",")[0] for each in orders] == ["plant - controller - observer", "controller - plant - observer"]
-    assert whole.estimates["alpha2"] != quarter.estimates["alpha2"]
+    whole, half, quarter, monolithic, controller_first, plant_first = found.schemes
+    for name in ("plant.v", "plant.u"):
+        assert found.orders[name] == pytest.approx(1.0, abs=0.02)
+        assert monolithic.errors[name].relative < 1e-9 < quarter.errors[name].relative
+    for each, late in ((whole, 1.0), (half, 0.5), (quarter, 0.25), (monolithic, 0.0), (plant_first, 1.0)):
+        assert each.errors["plant.u"].delay == pytest.approx(late * found.step, rel=0.03, abs=1e-9)
+    assert controller_first.errors["plant.v"] == monolithic.errors["plant.v"]
+    for name in ("alpha2", "b"):  # the observer sees the plant a step ahead of its voltage in one order only
+        value = pytest.approx(found.refined[name], rel=1e-9)
+        assert monolithic.estimates[name] == value
+        assert plant_first.estimates[name] == value
+        assert controller_first.estimates[name] != value
+    assert {each.verdict for each in found.schemes} == {"pass"} == {found.verdict}
     content = json.loads((tmp_path / "out" / "coupling.json").read_text(encoding="utf-8"))
     assert content["schemes"][0]["signals"]["plant.v"]["rms"] == whole.errors["plant.v"].rms
-    assert "Estimates at the end" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "estimates at the end" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_check_that_fails_in_a_coupling_is_its_verdict(scenario, tmp_path):
+    options = Options(overrides=("checks.0.max=0",))
+    assert {each.verdict for each in coupling(scenario, tmp_path / "out", options).schemes} == {"fail"}
 
 
 def test_a_record_has_no_coupling(tmp_path):
