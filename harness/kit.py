@@ -326,10 +326,20 @@ def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, 
     rows = [
         {"name": e.name, "worst": e.worst, "time_s": e.time, "limit": REPLAY_TOLERANCE, "pass": e.holds} for e in found.agreement
     ]
-    recorded = json.loads(package.read(VERDICT)) if VERDICT in package.names else None
+    recorded = _recorded(package)
     tree = {"package": package.path.name, "verdict": verdict, "failure": found.failure, "signals": rows, "recorded": recorded}
     content = to_json(plain({**tree, "provenance": provenance()}))
     return {"result.json": content, "signals.csv": _table(trace), "report.html": _page(package, found)}
+
+
+def _recorded(package: Package) -> Any:
+    """Return the verdict that a package holds, None if it holds none."""
+    if VERDICT not in package.names:
+        return None
+    try:
+        return json.loads(package.read(VERDICT))
+    except ValueError as error:
+        raise package.mistake(f"{VERDICT}: no JSON ({error}); export it again") from None
 
 
 def _page(package: Package, found: Replayed) -> str:

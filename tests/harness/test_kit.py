@@ -151,6 +151,17 @@ def test_a_package_that_cannot_be_run_is_one_line(kit, tmp_path, old, new, messa
     assert not (tmp_path / "out").exists()
 
 
+def test_a_damaged_reference_is_one_line(kit, tmp_path):
+    for damaged, content in (("verdict.json", b'{"x": NaN'), ("signals.csv", b""), ("signals.csv", b"time,plant.v\n0,nan\n")):
+
+        def change(name, old, damaged=damaged, content=content):
+            return content if name.endswith(damaged) else old
+
+        with pytest.raises(BristleError, match=damaged):
+            replay(changed(kit / "out" / "axis.ssp", tmp_path / "bad.ssp", change), tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+
 def test_files_that_are_no_packages_are_one_line(tmp_path):
     (tmp_path / "text.ssp").write_text("no zip", encoding="utf-8")
     with pytest.raises(BristleError, match="not a zip archive"):
