@@ -43,7 +43,7 @@ typedef struct {
     const double *series;
     const double *const *taps;      /* row k of record is the bus at the start of step k, times factors */
     const double *factors;
-    const long long *mean;          /* not 0: what is kept is the mean over the communication steps of a row */
+    const long long *mean;          /* not 0: what is kept is the mean over the communication steps of a row; NULL: of none */
     double *record;
     volatile long long *control;    /* [0] steps done, [1] not 0: stop, [3] unit at work */
     long long next_event;
@@ -54,6 +54,7 @@ typedef struct {
 } Master;
 
 enum { OK = 0, WARNING = 1, ERROR = 3 }; /* of both FMI 2 and FMI 3 */
+enum { ALL = -1 };                       /* units */
 
 static int set_flag(const Unit *u, int place)
 {
@@ -106,7 +107,7 @@ static void write_row(const Master *m, long long row)
 {
     double *out = m->record + row * m->n_taps;
     for (long long i = 0; i < m->n_taps; i++)
-        if (!m->mean[i]) out[i] = *m->taps[i] * m->factors[i];
+        if (!m->mean || !m->mean[i]) out[i] = *m->taps[i] * m->factors[i];
 }
 
 static void add_means(const Master *m, long long row)
@@ -116,16 +117,17 @@ static void add_means(const Master *m, long long row)
         if (m->mean[i]) out[i] += *m->taps[i] * m->factors[i] / (double)m->split;
 }
 
+/* Carry outputs over to the inputs of a unit, or of all. */
 static void transfer(const Master *m, long long unit)
 {
     for (long long i = 0; i < m->n_links; i++)
-        if (m->links[i].unit == unit) *m->links[i].to = *m->links[i].from * m->links[i].factor;
+        if (unit == ALL || m->links[i].unit == unit) *m->links[i].to = *m->links[i].from * m->links[i].factor;
 }
 
 /* Set the inputs of all units, do a step, read the outputs; returns the status of the unit that failed, if one did. */
 static int step_all(Master *m, double time, double h)
 {
-    for (long long i = 0; i < m->n_units && !m->sequential; i++) transfer(m, i);
+    if (!m->sequential) transfer(m, ALL);
     for (long long i = 0; i < m->n_units; i++) {
         const Unit *u = &m->units[i];
         long long call = 0; /* inputs, step, outputs */
@@ -170,7 +172,7 @@ EXPORT long long loop_run(Master *m, long long first, long long count)
         for (long long i = 0; i < m->n_series; i++) *m->series_to[i] = m->series[k * m->n_series + i];
         for (long long s = 0; s < m->split; s++) {
             if (step_all(m, (double)(k * m->split + s) * h, h) > WARNING) return k - first;
-            add_means(m, k + 1);
+            if (m->mean) add_means(m, k + 1);
         }
         write_row(m, k + 1);
         m->control[0] = k + 1;

@@ -255,7 +255,7 @@ class Session:
         try:
             self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
             self.values = np.zeros((bus.steps + 1, len(bus.record)))
-            self.mean = np.array([name in self.nodes[unit].inputs for unit, name in bus.record], dtype=np.int64)
+            self.averaged = np.array([name in self.nodes[unit].inputs for unit, name in bus.record], dtype=bool)
             self.flags = [(0, self._read_flags())]
         except BaseException:
             self.close()
@@ -309,9 +309,10 @@ class Session:
         series_to = np.array([self._address(port) for port in bus.series], dtype=np.uintp)
         taps = np.array([self._address(port) for port in bus.record], dtype=np.uintp)
         factors = np.array([self._worth(port) for port in bus.record], dtype=float)
+        mean = self.averaged.astype(np.int64)
         master = _Master(
             ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
-            _pointer(taps), _pointer(factors), _pointer(self.mean), _pointer(self.values), _pointer(self.control),
+            _pointer(taps), _pointer(factors), _pointer(mean) if mean.any() else None, _pointer(self.values), _pointer(self.control),
             0, len(units), len(links), len(events), len(series_to), len(taps), bus.split, bus.sequential, bus.h, -1, 0, 0,
         )  # fmt: skip
         lib.loop_start(ctypes.byref(master))
@@ -354,7 +355,8 @@ class Session:
                 failure = self._step_fmpy(k * bus.split + part, places)
                 if failure is not None:
                     return self._trace(k * bus.h, failure)
-                self.values[k + 1, self._averaged] += self._seen(places)[self._averaged] / bus.split
+                if self.averaged.any():
+                    self.values[k + 1, self.averaged] += self._seen(places)[self.averaged] / bus.split
             k += 1
             self._write_row(k, places)
             self.control[0] = k
@@ -364,10 +366,6 @@ class Session:
                     return self._trace(early.time, early)
                 self._pause(k, progress, True)
         return self._trace(k * bus.h)
-
-    @property
-    def _averaged(self) -> NDArray[np.bool_]:
-        return self.mean.astype(bool)
 
     def _step_fmpy(self, step: int, places: Mapping[Port, tuple[Array, int]]) -> Failure | None:
         """Do one communication step of all units; return why one failed."""
@@ -395,7 +393,7 @@ class Session:
         return np.array([places[port][0][places[port][1]] * self._worth(port) for port in self.bus.record], dtype=float)
 
     def _write_row(self, k: int, places: Mapping[Port, tuple[Array, int]]) -> None:
-        self.values[k, ~self._averaged] = self._seen(places)[~self._averaged]
+        self.values[k, ~self.averaged] = self._seen(places)[~self.averaged]
 
     # -- the end -----------------------------------------------------------------------------------------------------
 
