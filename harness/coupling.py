@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 from bristle.common.html import identifier, number, page, table
-from bristle.common.output import output_folder, plain, replace_files, to_json
+from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
-from bristle.harness.isolate import simulate_isolated
-from bristle.harness.loop import Bus, Trace, simulate
+from bristle.harness.isolate import run_bus
+from bristle.harness.loop import Bus, Trace
 from bristle.harness.plan import Setup
 from bristle.harness.run import Options, check, verdict
 
@@ -26,8 +26,9 @@ Told = Callable[[str, float], None]
 
 REFINED = 16  # steps of the reference in one of the scenario
 DIVISIONS = (1, 2, 4)  # of the step, with all FMUs at once
-MONOLITHIC = ("controller", "observer", "plant")  # both that are sampled read the bus at t_k, then the plant moves on
-ORDERS = (MONOLITHIC, ("controller", "plant", "observer"), ("plant", "controller", "observer"))  # one FMU after the other
+# One FMU after the other. In the first order both that are sampled read the bus at t_k, then the plant moves on: with small steps
+# it is plant and sampled controller in one model.
+ORDERS = (("controller", "observer", "plant"), ("controller", "plant", "observer"), ("plant", "controller", "observer"))
 APPLIED = ("plant", "u")  # the input that acts on the plant, recorded beside the outputs
 SHIFT_ROUNDS = 8  # Newton steps of a delay
 ESTIMATED_STATES = ("theta", "v", "w", "F")  # which an observer estimates beside parameters
@@ -101,13 +102,12 @@ def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
     """Run a bus in all couplings."""
     scenario, bus = setup.loaded.name, replace(bus, record=(*bus.record, APPLIED))
     units = [each.name for each in bus.instances]
-    exact, *orders = dict.fromkeys(tuple(u for u in order if u in units) for order in (MONOLITHIC, *ORDERS, ()))
+    orders = list(dict.fromkeys(tuple(u for u in order if u in units) for order in ORDERS))
+    divided = {parts: f"all at once, step {bus.h / parts:g} s" for parts in DIVISIONS}
     notes: tuple[str, ...] = ()
-    ways = {f"{' - '.join(exact)}, step {bus.h / REFINED:g} s": partial(coupled, bus, REFINED, exact)}
-    for parts in DIVISIONS:
-        ways[f"all at once, step {bus.h / parts:g} s"] = partial(coupled, bus, parts)
-    for order in (exact, *filter(None, orders)):
-        ways[f"{' - '.join(order)}, step {bus.h:g} s"] = partial(coupled, bus, 1, order)
+    ways = {f"{' - '.join(orders[0])}, step {bus.h / REFINED:g} s": partial(coupled, bus, REFINED, orders[0])}
+    ways |= {name: partial(coupled, bus, parts) for parts, name in divided.items()}
+    ways |= {f"{' - '.join(order)}, step {bus.h:g} s": partial(coupled, bus, 1, order) for order in orders}
     traces: dict[str, Trace] = {}
     for k, (name, run) in enumerate(ways.items()):
         progress(name, k / len(ways))
@@ -122,7 +122,9 @@ def compare(setup: Setup, bus: Bus, progress: Told) -> Coupling:
     best, *others = traces
     rows = min(len(trace.values) for trace in traces.values())
     schemes = tuple(_scheme(name, _judged(setup, traces[name]), traces[name], traces[best], rows) for name in others)
-    return Coupling(scenario, bus.h, _judged(setup, traces[best]), schemes, _estimates(traces[best], rows), _orders(schemes), notes)
+    found = {scheme.name: scheme for scheme in schemes}
+    orders_of = _orders([found[name] for name in divided.values() if name in found])
+    return Coupling(scenario, bus.h, _judged(setup, traces[best]), schemes, _estimates(traces[best], rows), orders_of, notes)
 
 
 def coupled(bus: Bus, parts: int = 1, order: Sequence[str] = ()) -> Trace:
@@ -132,8 +134,7 @@ def coupled(bus: Bus, parts: int = 1, order: Sequence[str] = ()) -> Trace:
     """
     units = {each.name: each for each in bus.instances}
     instances = tuple(units[name] for name in order) or bus.instances
-    bus = replace(bus, instances=instances, split=parts, sequential=bool(order))
-    return simulate_isolated(bus) if bus.risky else simulate(bus)
+    return run_bus(replace(bus, instances=instances, split=parts, sequential=bool(order)))
 
 
 def delay(signal: Array, reference: Array, h: float) -> float | None:
@@ -178,9 +179,11 @@ def _estimates(trace: Trace, rows: int) -> dict[str, float]:
     return {name: value for name, value in hats.items() if value and name not in ESTIMATED_STATES}
 
 
-def _orders(schemes: Sequence[Scheme]) -> dict[str, float | None]:
-    """Return by signal the power of the step with which its error falls, from the whole step to the smallest."""
-    divisions = schemes[: len(DIVISIONS)]
+def _orders(divisions: Sequence[Scheme]) -> dict[str, float | None]:
+    """Return by signal the power of the step with which its error falls, from the whole step to the smallest.
+
+    Nothing is said where a run with one of these steps was left out.
+    """
     found: dict[str, float | None] = {}
     for name in divisions[0].errors if len(divisions) == len(DIVISIONS) else ():
         ends = [each.errors[name].rms for each in (divisions[0], divisions[-1])]
@@ -200,7 +203,7 @@ def _json(found: Coupling) -> bytes:
         "notes": list(found.notes),
         "provenance": provenance(),
     }  # fmt: skip
-    return to_json(plain(content)).encode()
+    return to_json(content).encode()
 
 
 def _page(found: Coupling) -> bytes:

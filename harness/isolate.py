@@ -27,6 +27,11 @@ def simulate_isolated(
     return isolated(_simulate, (bus, engine), [each.fmu.path for each in bus.instances], partial(_trace, bus), progress, timeout)
 
 
+def run_bus(bus: Bus, progress: Progress | None = None, timeout: float | None = None) -> Trace:
+    """Run a bus: in a child process if an FMU may harm its own, which may then take `timeout` seconds; errors as above."""
+    return simulate_isolated(bus, progress, timeout=timeout) if bus.risky else simulate(bus, progress)
+
+
 def _simulate(asked: tuple[Bus, str], control: Control) -> dict[str, Any]:
     bus, engine = asked
     trace = simulate(bus, engine=engine, control=control)

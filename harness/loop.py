@@ -309,10 +309,11 @@ class Session:
         series_to = np.array([self._address(port) for port in bus.series], dtype=np.uintp)
         taps = np.array([self._address(port) for port in bus.record], dtype=np.uintp)
         factors = np.array([self._worth(port) for port in bus.record], dtype=float)
-        mean = self.averaged.astype(np.int64)
+        averaged = self.averaged.astype(np.int64)
+        means = _pointer(averaged) if averaged.any() else None
         master = _Master(
             ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
-            _pointer(taps), _pointer(factors), _pointer(mean) if mean.any() else None, _pointer(self.values), _pointer(self.control),
+            _pointer(taps), _pointer(factors), means, _pointer(self.values), _pointer(self.control),
             0, len(units), len(links), len(events), len(series_to), len(taps), bus.split, bus.sequential, bus.h, -1, 0, 0,
         )  # fmt: skip
         lib.loop_start(ctypes.byref(master))

@@ -22,8 +22,8 @@ from bristle.common.provenance import provenance
 from bristle.fmus.host import Fmu
 from bristle.harness import metrics, results
 from bristle.harness.fit import Data
-from bristle.harness.isolate import simulate_isolated
-from bristle.harness.loop import Bus, Trace, simulate
+from bristle.harness.isolate import run_bus
+from bristle.harness.loop import Bus, Trace
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare, uncompensated
 from bristle.harness.plan import validation as validation_bus
 from bristle.harness.scenario import load
@@ -165,7 +165,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     """Run a scenario that is checked, and judge it."""
     setup, clock, tell = checked.setup, checked.clock, progress or _no_progress
     with clock.stage("co-simulation"):
-        trace = _simulate(checked.bus, setup.timeout, lambda done: tell("co-simulation", done, setup.steps))
+        trace = run_bus(checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout)
     with clock.stage("metrics"):
         view = View(setup, trace)
         result = _measure(setup, trace, view) | {"provenance": _provenance(checked)}
@@ -187,8 +187,7 @@ def verdict(setup: Setup, trace: Trace) -> str:
     """Judge a run by the checks that need no second run; pass or fail."""
     result = _measure(setup, trace, View(setup, trace))
     checks = [each for each in setup.scenario.checks if each.quantity.partition(".")[0] not in SECOND_RUNS]
-    judged = metrics.judge(result, checks)
-    return "pass" if all(check["pass"] for check in judged) and "diverged" not in result else "fail"
+    return _verdict(result | {"checks": metrics.judge(result, checks)})
 
 
 def execute(checked: Checked, progress: Progress | None = None) -> Run:
@@ -216,10 +215,6 @@ def _load_drawing() -> None:
 def _trusted(setup: Setup) -> list[str]:
     files = " and ".join(setup.fmus[name].path.name for name in setup.foreign)
     return [f"{files}: code from elsewhere, which ran with your rights: use only FMUs that you trust"] if files else []
-
-
-def _simulate(bus: Bus, timeout: float | None, progress: Callable[[int], None] | None = None) -> Trace:
-    return simulate_isolated(bus, progress, timeout=timeout) if bus.risky else simulate(bus, progress)
 
 
 class View:
@@ -324,7 +319,7 @@ def _validate(setup: Setup, result: Mapping[str, Any], view: View, fmus: Mapping
 
 def _second_run(setup: Setup, bus: Bus, key: str) -> Trace:
     """Run a bus that must run to its end; `key` is what asks for it in the scenario file."""
-    second = _simulate(bus, setup.timeout)
+    second = run_bus(bus, timeout=setup.timeout)
     if second.failure is not None:
         failure = second.failure
         what = f"the second run ended at {failure.time:g} s: {failure.unit}: {failure.message}"
@@ -354,13 +349,17 @@ def _judge(result: dict[str, Any], setup: Setup) -> list[str]:
     """Set checks and verdict; of a record without checks, return and note why the verdict is fail."""
     checks = setup.scenario.checks
     result["checks"] = metrics.judge(result, checks or metrics.validity_checks(result, _innovation_limit(setup)))
-    passed = all(check["pass"] for check in result["checks"]) and "diverged" not in result
-    result["verdict"] = "pass" if passed else "fail"
-    if checks or passed:
+    result["verdict"] = _verdict(result)
+    if checks or result["verdict"] == "pass":
         return []
     line = f"No checks are given, so the verdict is what the observer says of itself: {metrics.why_not(result)}"
     result["notes"].append(line)
     return [line]
+
+
+def _verdict(result: Mapping[str, Any]) -> str:
+    """Return pass where the run came to its end and all checks hold."""
+    return "pass" if all(check["pass"] for check in result["checks"]) and "diverged" not in result else "fail"
 
 
 def _innovation_limit(setup: Setup) -> float | None:

@@ -32,7 +32,8 @@ def coupling(
         found = library.coupling(
             find_scenario(scenario), out, Options(fmi=int(fmi.value), overrides=tuple(set_ or ()), seed=seed), tell
         )
-    signal = next(iter(found.schemes[0].errors)) if "plant.v" not in found.schemes[0].errors else "plant.v"
+    errors = found.schemes[0].errors
+    signal = "plant.v" if "plant.v" in errors else next(iter(errors))
     for each in found.schemes:
         error = each.errors[signal]
         lag = "" if error.delay is None else f", {1e3 * error.delay:+.3f} ms late"

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from bristle.common.errors import BristleError
-from bristle.harness.coupling import APPLIED, MONOLITHIC, coupled, coupling, delay
-from bristle.harness.loop import simulate
+from bristle.harness.coupling import APPLIED, ORDERS, coupled, coupling, delay
+from bristle.harness.loop import Failure, simulate
 from bristle.harness.run import Options, check
 
+MONOLITHIC = ORDERS[0]
 SCENARIO = """
 duration = "4 s"
 [plant]
@@ -87,6 +88,20 @@ def test_errors_fall_with_the_step_and_the_report_holds_them(scenario, tmp_path)
 def test_a_check_that_fails_in_a_coupling_is_its_verdict(scenario, tmp_path):
     options = Options(overrides=("checks.0.max=0",))
     assert {each.verdict for each in coupling(scenario, tmp_path / "out", options).schemes} == {"fail"}
+
+
+def test_no_order_is_said_where_a_run_with_one_of_the_steps_ends_early(scenario, tmp_path, monkeypatch):
+    """The schemes that are left are not taken for others."""
+
+    def halved_fails(bus, parts=1, order=()):
+        trace = coupled(bus, parts, order)
+        return replace(trace, failure=Failure("plant", 0.1, "it diverged")) if parts == 2 else trace
+
+    monkeypatch.setattr("bristle.harness.coupling.coupled", halved_fails)
+    found = coupling(scenario, tmp_path / "out", Options())
+    assert len(found.schemes) == 5
+    assert found.orders == {}
+    assert "it is left out" in found.notes[0]
 
 
 def test_a_record_has_no_coupling(tmp_path):
