@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import tempfile
 from collections.abc import Callable, Mapping
@@ -12,28 +10,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.html import badge, identifier, number, page, table
-from bristle.common.output import output_folder, plain, replace_files, to_json
+from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
 from bristle.harness import results
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.kit_readme import readme
-from bristle.harness.loop import Bus, Instance, Port, Trace, simulate
-from bristle.harness.plan import Setup
-from bristle.harness.run import Checked, Options, check, outcome
+from bristle.harness.loop import Bus, Instance, Port, Trace
+from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
+from bristle.harness.run import Options, Outcome, check, outcome
 from bristle.harness.ssp import CSV_TYPE, FMU_TYPE, STEPS_BY_DEFAULT, Component, Package, SystemStructure, package_files
-
-Array = NDArray[np.float64]
 
 REFERENCE = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
 STIMULI = "stimuli"
 MOST_ROWS = 2001  # of the reference signals
+DIGITS = 17  # of a number in a table, which then is the same double
 REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
 LONGEST_REPLAY = 10_000_000
 
@@ -100,21 +96,17 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
             fmus = {name: _own_fmu(setup, name, Path(folder), platforms) for name in setup.fmus}
             if setup.stimuli and not _tabulated(setup):
                 fmus[STIMULI] = _source_fmu(setup, Path(folder), platforms)
-            bus = _bus_of(
-                checked.bus, {name: Fmu(file, setup.fmus[name].foreign) for name, file in fmus.items() if name in setup.fmus}
-            )
-            trace = simulate_isolated(bus) if bus.risky else simulate(bus)
-            if trace.failure is not None:
-                raise BristleError(
-                    f"{path}: the run ends at {trace.failure.time:g} s: {trace.failure.message}; export one that ends well"
-                )
-            files = {f"fmus/{name}.fmu": file.read_bytes() for name, file in fmus.items()}
+            bus = _bus_of(checked.bus, fmus)
+            found = outcome(replace(checked, bus=bus))
+            if (failure := found.view.trace.failure) is not None:
+                raise BristleError(f"{path}: the run ends at {failure.time:g} s: {failure.message}; export one that ends well")
+            files = {f"{name}.fmu": file.read_bytes() for name, file in fmus.items()}
         system = _system(setup, bus)
-        content = _content(checked, system, trace)
-        inside = {f"resources/{name.removeprefix('fmus/')}": data for name, data in files.items()}
-        package = archive_bytes(package_files(system) | inside | content)
+        content = _content(setup, found)
+        package = archive_bytes(package_files(system) | {f"resources/{name}": data for name, data in files.items()} | content)
         written = {f"{setup.loaded.name}.ssp": package, "README.md": readme(system, setup.loaded.name, REPLAY_TOLERANCE).encode()}
-        written |= files | {name.removeprefix("resources/"): data for name, data in content.items()}
+        written |= {f"fmus/{name}": data for name, data in files.items()}
+        written |= {name.removeprefix("resources/"): data for name, data in content.items()}
         replace_files(out, written, list(written))
     return out / f"{setup.loaded.name}.ssp"
 
@@ -154,15 +146,16 @@ def _source_fmu(setup: Setup, folder: Path, platforms: str) -> Path:
 
 def _numbers(setup: Setup, name: str) -> dict[str, float]:
     """Return the values of a unit's parameters, without the choice of law or method."""
-    return {key: float(value) for key, value in setup.values[name].items() if key not in ("law", "method")}
+    return {key: float(value) for key, value in setup.values[name].items() if key != SELECTOR_PARAMETERS.get(name)}
 
 
-def _bus_of(bus: Bus, fmus: Mapping[str, Fmu]) -> Bus:
-    """Return the bus with the FMUs of the kit, which need no values."""
-    instances = tuple(
-        Instance(each.name, fmus[each.name], each.values if each.fmu.foreign else {}) for each in bus.instances
-    )  # fmt: skip
-    return replace(bus, instances=instances, flags=())
+def _bus_of(bus: Bus, fmus: Mapping[str, Path]) -> Bus:
+    """Return the bus with the FMUs of the kit; our own need no values."""
+    instances = (
+        Instance(each.name, Fmu(fmus[each.name], each.fmu.foreign), each.values if each.fmu.foreign else {})
+        for each in bus.instances
+    )
+    return replace(bus, instances=tuple(instances))
 
 
 def _system(setup: Setup, bus: Bus) -> SystemStructure:
@@ -175,40 +168,29 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
         connectors |= dict.fromkeys(values, "parameter")
         components.append(Component(each.name, f"resources/{each.name}.fmu", connectors, values))
     if setup.stimuli:
-        names, (suffix, kind) = {each.variable: "output" for each in setup.stimuli}, ("fmu", FMU_TYPE)
-        if _tabulated(setup):
-            suffix, kind = "csv", CSV_TYPE
+        names = {each.variable: "output" for each in setup.stimuli}
+        suffix, kind = ("csv", CSV_TYPE) if _tabulated(setup) else ("fmu", FMU_TYPE)
         components.append(Component(STIMULI, f"resources/{STIMULI}.{suffix}", names, type=kind))
         links += [((STIMULI, each.variable), port) for each in setup.stimuli for port in each.ports]
     return SystemStructure(setup.loaded.name, tuple(components), tuple(links), setup.steps * setup.h, setup.h)
 
 
-def _content(checked: Checked, system: SystemStructure, trace: Trace) -> dict[str, bytes]:
+def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
-    setup = checked.setup
-    result = outcome(checked).result
-    about = {key: result[key] for key in ("scenario", "verdict", "checks", "estimates", "provenance")}
-    files = {REFERENCE: _table(trace), VERDICT: to_json(plain(about)).encode()}
+    about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates", "provenance")}
+    files = {REFERENCE: _table(found.view.trace).encode(), VERDICT: to_json(about).encode()}
     if _tabulated(setup):
         time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
         columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
-        files[f"resources/{STIMULI}.csv"] = _csv({"time": time, **columns}, np.arange(setup.steps))
+        files[f"resources/{STIMULI}.csv"] = results.table_text({"time": time, **columns}, DIGITS).encode()
     return files
 
 
-def _table(trace: Trace) -> bytes:
+def _table(trace: Trace) -> str:
     """Return the signals of a run, thinned to equal steps."""
     stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
-    rows = np.arange(0, trace.steps + 1, stride)
     columns = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
-    return _csv({"time": np.asarray(trace.h * np.arange(trace.steps + 1), dtype=np.float64), **columns}, rows)
-
-
-def _csv(columns: Mapping[str, Array], rows: NDArray[np.intp]) -> bytes:
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerow(columns)
-    np.savetxt(out, np.column_stack([column[rows] for column in columns.values()]), fmt="%.17g", delimiter=",")
-    return out.getvalue().encode()
+    return results.table_text({name: values[::stride] for name, values in {"time": trace.time, **columns}.items()}, DIGITS)
 
 
 # -- replay --------------------------------------------------------------------------------------------------------------
@@ -328,7 +310,7 @@ def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, 
     ]
     recorded = _recorded(package)
     tree = {"package": package.path.name, "verdict": verdict, "failure": found.failure, "signals": rows, "recorded": recorded}
-    content = to_json(plain({**tree, "provenance": provenance()}))
+    content = to_json({**tree, "provenance": provenance()})
     return {"result.json": content, "signals.csv": _table(trace), "report.html": _page(package, found)}
 
 

@@ -23,10 +23,14 @@ def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
     """Return signals.csv: first column time, numbers only (nan where there is none); thinned unless `full`."""
     rows = len(next(iter(columns.values())))
     kept = np.arange(rows) if full else np.unique(np.linspace(0, rows - 1, min(rows, THINNED_ROWS)).round().astype(int))
-    table = np.column_stack([column[kept] for column in columns.values()])
+    return table_text({name: column[kept] for name, column in columns.items()}, 10)
+
+
+def table_text(columns: Mapping[str, NDArray[np.float64]], digits: int) -> str:
+    """Return columns of numbers as CSV with a head."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(columns)
-    np.savetxt(out, table, fmt="%.10g", delimiter=",")
+    np.savetxt(out, np.column_stack(list(columns.values())), fmt=f"%.{digits}g", delimiter=",")
     return out.getvalue()
 
 
