@@ -128,6 +128,11 @@ def replace_files(out: Path, content: Mapping[str, bytes], names: Sequence[str])
     return [out / name for name in names if name in content]
 
 
+def replace_file(path: Path, content: bytes) -> None:
+    """Put one file in the place of an older one; raise `BristleError` as `replace_files`."""
+    replace_files(path.parent, {path.name: content}, [path.name])
+
+
 def _exchange(fresh: Path, out: Path, old: Path, names: Sequence[str]) -> None:
     """Move the files of `out` that have these names into `old`, those of `fresh` into `out`; undo it if that fails."""
     placed = []

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 from bristle.common.errors import BristleError
-from bristle.common.output import output_folder, replace_files
+from bristle.common.output import output_folder, replace_file
 from bristle.common.toml import quoted
 from bristle.common.units import parse_unit
 from bristle.diagnosis.modelfile import Model, own_unit
@@ -90,7 +90,7 @@ def write_model(found: Proposal, out: Path, replace_it: bool = False) -> None:
     text = model_text(found, next_command(found, out))
     Model.from_dict(tomllib.loads(text), out)
     with output_folder(out.parent):
-        replace_files(out.parent, {out.name: text.encode()}, [out.name])
+        replace_file(out, text.encode())
 
 
 def _with(line: str, comment: str) -> str:

@@ -7,6 +7,7 @@ from importlib.metadata import version
 from xml.etree import ElementTree as ET
 
 from bristle.common.units import BASE, parse_unit
+from bristle.common.xml import document
 from bristle.fmus.dependencies import initial, structural
 from bristle.fmus.interface import Exposed, Interface
 from bristle.model.system import SAMPLE_TIME, TOLERANCE
@@ -24,12 +25,6 @@ def _text(value: object) -> str:
 def _element(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
     """Add a child; attributes that are None are left out."""
     return ET.SubElement(parent, tag, {k: _text(v) for k, v in attributes.items() if v is not None})
-
-
-def _serialise(root: ET.Element) -> bytes:
-    ET.indent(root)
-    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return text + b"\n"
 
 
 def _units(parent: ET.Element, variables: Sequence[Exposed]) -> None:
@@ -186,7 +181,7 @@ def description_2(interface: Interface, sources: Sequence[str]) -> bytes:
     _experiment(root, interface)
     _variables_2(root, interface, shown, number)
     _structure_2(root, interface, number)
-    return _serialise(root)
+    return document(root)
 
 
 # -- FMI 3.0 -------------------------------------------------------------------------------------------------------------
@@ -253,7 +248,7 @@ def description_3(interface: Interface) -> bytes:
     _experiment(root, interface)
     _variables_3(root, interface)
     _structure_3(root, interface)
-    return _serialise(root)
+    return document(root)
 
 
 def build_description(interface: Interface, sources: Sequence[str]) -> bytes:
@@ -264,4 +259,4 @@ def build_description(interface: Interface, sources: Sequence[str]) -> bytes:
     for name in sources:
         _element(files, "SourceFile", name=name)
     _element(configuration, "Library", name="m", external=True)
-    return _serialise(root)
+    return document(root)

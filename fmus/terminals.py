@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from xml.etree import ElementTree as ET
 
+from bristle.common.xml import document
 from bristle.fmus.interface import Interface
 
 BUS = ("u", "y_theta", "y_v")  # what plant, observer and controller exchange, by the names on the observer
@@ -29,7 +30,7 @@ def icon_files(interface: Interface) -> dict[str, bytes]:
 def terminals(interface: Interface, icon: bool) -> bytes:
     """Return terminalsAndIcons.xml of FMI 3.0: a terminal `bus`, and the place of the icon."""
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    corners = {"x1": f"{-SIDE}", "y1": f"{-SIDE}", "x2": f"{SIDE}", "y2": f"{SIDE}"}
+    corners = {"x1": str(-SIDE), "y1": str(-SIDE), "x2": str(SIDE), "y2": str(SIDE)}
     if icon:
         graphical = ET.SubElement(root, "GraphicalRepresentation")
         ET.SubElement(graphical, "CoordinateSystem", {**corners, "suggestedScalingFactorTo_mm": "0.1"})
@@ -40,9 +41,7 @@ def terminals(interface: Interface, icon: bool) -> bytes:
         terminal = ET.SubElement(group, "Terminal", name="bus", matchingRule="bus", description=text)
         for name, member in members:
             ET.SubElement(terminal, "TerminalMemberVariable", variableName=name, memberName=member, variableKind="signal")
-    ET.indent(root)
-    document: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return document + b"\n"
+    return document(root)
 
 
 def terminal_files(interface: Interface, fmi: int) -> dict[str, bytes]:

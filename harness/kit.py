@@ -29,7 +29,7 @@ REFERENCE = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
 STIMULI = "stimuli"
 MOST_ROWS = 2001  # of the reference signals
-DIGITS = 17  # of a number in a table, which then is the same double
+EXACT_DIGITS = 17  # of a number in a table, which then is the same double
 REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
 LONGEST_REPLAY = 10_000_000
 
@@ -182,7 +182,7 @@ def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     if _tabulated(setup):
         time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
         columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
-        files[f"resources/{STIMULI}.csv"] = results.table_text({"time": time, **columns}, DIGITS).encode()
+        files[f"resources/{STIMULI}.csv"] = results.table_text({"time": time, **columns}, EXACT_DIGITS).encode()
     return files
 
 
@@ -190,7 +190,7 @@ def _table(trace: Trace) -> str:
     """Return the signals of a run, thinned to equal steps."""
     stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
     columns = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
-    return results.table_text({name: values[::stride] for name, values in {"time": trace.time, **columns}.items()}, DIGITS)
+    return results.table_text({name: values[::stride] for name, values in {"time": trace.time, **columns}.items()}, EXACT_DIGITS)
 
 
 # -- replay --------------------------------------------------------------------------------------------------------------

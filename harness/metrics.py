@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 SETTLING_BAND = 5.0  # percent of the true value; settling is the last time the error exceeds it
 LOAD_PROPORTIONAL = ("Fc", "sigma0", "sigma1", "sigma2")  # true values that grow in proportion to the normal load
+SIGNS = {"min": "≥", "max": "≤", "max_abs": "|·| ≤"}  # of the limits of a check
 LATE_ERROR_SHARE = 0.1  # share of the run, at its end, over which the late state errors are taken
 
 # What a check may demand: path in result.json -> (SI unit, meaning). PARAMETER, STATE and BASELINE stand for names.

@@ -84,7 +84,8 @@ class ScenarioItem(pytest.Item):
 
 def verdict_table(tested: CaseResult) -> str:
     """Return the checks of a run as text, one line each."""
-    from bristle.harness.suite_report import SIGNS, shown
+    from bristle.harness.metrics import SIGNS
+    from bristle.harness.suite_report import shown
 
     lines = [tested.message] if tested.message else []
     rows = [

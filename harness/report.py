@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from bristle.common.html import badge, figure, identifier, number, page, table, unit
-from bristle.harness.metrics import check_unit
+from bristle.harness.metrics import SIGNS, check_unit
 
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
          "sigma2": "σ<sub>2</sub>", "c": "c", "tau": "τ",
@@ -49,13 +49,12 @@ def _verdict(passed: bool) -> str:
 
 
 def _checks(result: Mapping[str, Any]) -> str:
-    signs = {"min": "≥", "max": "≤", "max_abs": "|·| ≤"}
     rows = []
     for check in result["checks"]:
         name = identifier(check["name"])
         if check["name"] != check["quantity"]:
             name += f'<div class="sub">{identifier(check["quantity"])}</div>'
-        limit = f"{signs[check['kind']]} {number(check['limit'])}"
+        limit = f"{SIGNS[check['kind']]} {number(check['limit'])}"
         shown_unit = unit(check_unit(result, check["quantity"])) or "–"
         rows.append((name, number(check["value"]), limit, shown_unit, _verdict(check["pass"])))
     return table(("check", "value", "limit", "unit", ""), rows, (1, 2))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.common.xml import document
 
 Array = NDArray[np.float64]
 Port = tuple[str, str]  # (component, connector)
@@ -86,14 +87,13 @@ def _description(system: SystemStructure) -> bytes:
         _annotate(whole, system.step)
     times = {"startTime": repr(system.start), **({} if system.stop is None else {"stopTime": repr(system.stop)})}
     ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", times)
-    return _serialised(root)
+    return document(root)
 
 
 def _annotate(whole: ET.Element, step: float) -> None:
     """Add the step in the way that OMSimulator reads it."""
-    annotation = ET.SubElement(
-        ET.SubElement(whole, f"{{{SSD}}}Annotations"), f"{{{SSC}}}Annotation", type="org.openmodelica"
-    )  # fmt: skip
+    annotations = ET.SubElement(whole, f"{{{SSD}}}Annotations")
+    annotation = ET.SubElement(annotations, f"{{{SSC}}}Annotation", type="org.openmodelica")
     about = ET.SubElement(ET.SubElement(annotation, f"{{{OMS}}}Annotations"), f"{{{OMS}}}SimulationInformation")
     master = {"description": "oms-ma", "stepSize": repr(step), "absoluteTolerance": "1e-4", "relativeTolerance": "1e-4"}
     ET.SubElement(about, f"{{{OMS}}}FixedStepMaster", master)
@@ -106,13 +106,7 @@ def _parameter_set(component: Component) -> bytes:
         kind = next(name for each, name in KINDS_OF_VALUES.items() if isinstance(value, each))
         text = str(value).lower() if kind == "Boolean" else str(value) if kind == "String" else repr(value)
         ET.SubElement(ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=name), f"{{{SSV}}}{kind}", value=text)
-    return _serialised(root)
-
-
-def _serialised(root: ET.Element) -> bytes:
-    ET.indent(root)
-    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return text + b"\n"
+    return document(root)
 
 
 # -- reading -------------------------------------------------------------------------------------------------------------

@@ -11,11 +11,10 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 
 from bristle.common.html import badge, identifier, number, page, table, unit
-from bristle.common.output import plain
-from bristle.harness.metrics import check_unit
+from bristle.common.xml import printable
+from bristle.harness.metrics import SIGNS, check_unit
 from bristle.harness.suite import CaseResult, CheckSummary, by_scenario, summaries
 
-SIGNS = {"min": "≥", "max": "≤", "max_abs": "|·| ≤"}
 VERDICT_BADGES = {"pass": "good", "fail": "bad", "error": "bad"}
 
 
@@ -50,8 +49,7 @@ def to_tree(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> dict
         for each in tested
     ]  # fmt: skip
     checks = {path.stem: [vars(summary) for summary in summaries(runs_of)] for path, runs_of in by_scenario(tested).items()}
-    tree = {"verdict": verdict(tested), "runs": runs, "checks": checks, "provenance": dict(provenance)}
-    return dict(plain(tree))
+    return {"verdict": verdict(tested), "runs": runs, "checks": checks, "provenance": dict(provenance)}
 
 
 def junit(tested: Sequence[CaseResult]) -> bytes:
@@ -65,11 +63,9 @@ def junit(tested: Sequence[CaseResult]) -> bytes:
             name, time = each.case.name or path.stem, f"{each.wall_s:.3f}"
             case = ElementTree.SubElement(suite, "testcase", {"classname": path.stem, "name": name, "time": time})
             if each.verdict != "pass":
-                lines = failures(each)
                 kind = "failure" if each.verdict == "fail" else "error"
-                ElementTree.SubElement(case, kind, {"message": _printable(lines[0] if lines else "")}).text = "\n".join(
-                    map(_printable, lines)
-                )
+                said = [printable(line) for line in failures(each)]
+                ElementTree.SubElement(case, kind, {"message": said[0] if said else ""}).text = "\n".join(said)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
@@ -118,7 +114,3 @@ def _check_row(each: CheckSummary, runs: int) -> tuple[str, ...]:
     where = escape(each.worst_run) if runs > 1 else ""
     own = unit(check_unit({}, each.quantity)) or "–"
     return (identifier(each.name), limit, own, held, number(each.median), number(each.worst), where)
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in text)

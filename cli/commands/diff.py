@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from bristle.cli.app import FAIL, PASS, DebugOption, app, path_of
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command(
@@ -25,7 +22,7 @@ def diff(
     debug: DebugOption = False,
 ) -> int:
     """Say what differs between two FMUs, and whether that matters to who uses the first one."""
-    from bristle.common.output import check_not_replaced, replace_files, to_json
+    from bristle.common.output import check_not_replaced, replace_file, to_json
     from bristle.fmus.difference import HARMLESS, fmu_differences
     from bristle.fmus.host import Fmu
 
@@ -39,5 +36,5 @@ def diff(
     if json is not None:
         rows = [{"kind": str(each.change), "place": each.place, "text": each.text} for each in found]
         content = to_json({"first": str(first), "second": str(second), "differences": rows}).encode()
-        replace_files(json.parent, {json.name: content}, [json.name])
+        replace_file(json, content)
     return FAIL if serious else PASS

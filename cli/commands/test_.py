@@ -42,7 +42,7 @@ def suite(
     debug: DebugOption = False,
 ) -> int:
     """Run scenarios with all seeds and values; FOLDER/index.html links to the report of each run."""
-    from bristle.common.output import output_folder, replace_files, to_json
+    from bristle.common.output import output_folder, replace_file, replace_files, to_json
     from bristle.common.provenance import provenance
     from bristle.harness.run import Options
     from bristle.harness.suite import find_cases, run_suite
@@ -66,7 +66,7 @@ def suite(
         replace_files(out, content, list(content))
         for path, text in ((json, tree), (junit, to_junit(tested))):
             if path is not None:
-                replace_files(path.parent, {path.name: text}, [path.name])
+                replace_file(path, text)
     _print(tested, quiet, out)
     verdicts = {each.verdict for each in tested}
     return ERROR if "error" in verdicts else FAIL if "fail" in verdicts else PASS

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from bristle.common.xml import printable
 from bristle.fmus.conformance.registry import Result, Verdict
 
 ORDER = (Verdict.failed, Verdict.not_tested, Verdict.not_applicable, Verdict.passed)
@@ -21,7 +22,7 @@ def to_lines(results: Sequence[Result]) -> list[str]:
     for r in sorted(results, key=lambda r: ORDER.index(r.verdict)):
         for finding in r.findings if r.verdict is not Verdict.passed else ():
             place = r.point.id if r.verdict is Verdict.failed else ""
-            lines.setdefault((r.verdict, str(r.point.severity) if place else "", f"{place}: {_printable(finding)}"), []).append(
+            lines.setdefault((r.verdict, str(r.point.severity) if place else "", f"{place}: {printable(finding)}"), []).append(
                 r.point.id
             )
     shown = [
@@ -59,12 +60,8 @@ def junit(path: Path, results: Sequence[Result]) -> bytes:
         case = ElementTree.SubElement(suite, "testcase", {"classname": path.name, "name": r.point.id})
         if r in failed or r in skipped:
             kind = "failure" if r in failed else "skipped"
-            ElementTree.SubElement(case, kind, {"message": r.point.title}).text = "\n".join(_printable(f) for f in r.findings)
+            ElementTree.SubElement(case, kind, {"message": r.point.title}).text = "\n".join(printable(f) for f in r.findings)
     return bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True))
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in text)
 
 
 def sarif(path: Path, results: Sequence[Result]) -> dict[str, Any]:
@@ -75,7 +72,7 @@ def sarif(path: Path, results: Sequence[Result]) -> dict[str, Any]:
     ]
     found = [
         {"ruleId": r.point.id, "ruleIndex": k, "level": str(r.point.severity),
-         "message": {"text": _printable(finding if r.verdict is Verdict.failed else f"not tested: {finding}")},
+         "message": {"text": printable(finding if r.verdict is Verdict.failed else f"not tested: {finding}")},
          "locations": [{"physicalLocation": {"artifactLocation": {"uri": path.resolve().as_uri()}}}]}
         for k, r in enumerate(results) if r.verdict in (Verdict.failed, Verdict.not_tested) for finding in r.findings
     ]  # fmt: skip
