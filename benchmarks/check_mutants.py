@@ -21,7 +21,7 @@ from bristle.fmus.conformance.process import Task, judged
 from bristle.model.compiler import find_compiler
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "fmus"))
-from mutants import (  # type: ignore[import-not-found]
+from mutants import (  # type: ignore[import-not-found]  # of tests/fmus, which are no package
     BEHAVIOUR_MUTANTS,
     PACKING_MUTANTS,
     STATIC_MUTANTS,

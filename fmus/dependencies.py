@@ -19,8 +19,7 @@ def _origins(system: System) -> dict[str, set[str]]:
     origins = {name: {name} for name in (*system.parameters, *system.inputs, "time")}
     for block in system.constants:
         origins |= {name: _union(origins[s] for s in symbols_in(value)) for name, value in block.items()}
-    states = {**system.states, **system.before, **system.after, **system.modes}
-    return origins | {name: _union(origins[s] for s in symbols_in(state.initial)) for name, state in states.items()}
+    return origins | {name: _union(origins[s] for s in symbols_in(state.initial)) for name, state in system.carried.items()}
 
 
 def _expressions(interface: Interface, system: System) -> dict[str, SX]:

@@ -189,13 +189,6 @@ def description_2(interface: Interface, sources: Sequence[str]) -> bytes:
 TYPES_3 = {"Real": "Float64", "Boolean": "Boolean", "Enumeration": "Enumeration", "Integer": "Int32"}
 
 
-def _sampled_period(interface: Interface) -> float | None:
-    """Return the sample time where nothing is continuous, else None."""
-    if any(variant.system.states for variant in interface.program.variants):
-        return None
-    return next((slot.start for slot in interface.program.slots if slot.name == SAMPLE_TIME.name), None)
-
-
 def _interfaces_3(root: ET.Element, interface: Interface) -> None:
     common: dict[str, object] = {
         "modelIdentifier": interface.program.name,
@@ -205,7 +198,7 @@ def _interfaces_3(root: ET.Element, interface: Interface) -> None:
     }
     if interface.exchange:
         _element(root, "ModelExchange", **common)
-    fixed = _sampled_period(interface)
+    fixed = None if interface.continuous else interface.sample_time
     _element(root, "CoSimulation", **common, canHandleVariableCommunicationStepSize=True, fixedInternalStepSize=fixed)
 
 

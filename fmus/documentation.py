@@ -39,16 +39,14 @@ def _table(rows: Sequence[Sequence[str]], columns: Sequence[str] = PAGE_COLUMNS)
 
 def _step_sizes(interface: Interface) -> str:
     """Return what a host has to know of communication steps, with the measured errors of the plant."""
-    systems = [variant.system for variant in interface.program.variants]
-    period = next((s.start for s in interface.program.slots if s.name == SAMPLE_TIME.name), None)
-    parts = ["<h2>Communication steps</h2>"]
+    parts, period = ["<h2>Communication steps</h2>"], interface.sample_time
     if period is not None:
-        what = "It is" if not any(system.states for system in systems) else "What is sampled, such as an encoder, is"
+        what = "What is sampled, such as an encoder, is" if interface.continuous else "It is"
         parts.append(
             f"<p>{what} computed every <code>{SAMPLE_TIME.name}</code> ({period:g} s), whatever the communication step is. Steps of"
             " that size are preferred; over longer ones inputs are held, and of the values between only the last is seen.</p>"
         )
-    if any(system.states for system in systems):
+    if interface.continuous:
         parts.append(
             "<p>What is continuous is integrated with steps of its own, so that the communication step only says for how long an"
             " input is held. Error of the velocity over its own size (rms, the worst of all friction laws of ServoPlant, with a"

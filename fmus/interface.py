@@ -78,9 +78,8 @@ def tunable_parameters(program: Program) -> frozenset[str]:
     """
     fixed = set(SCHEDULE)
     for system in (variant.system for variant in program.variants):
-        carried = {**system.states, **system.before, **system.after, **system.modes}
         once = [value for block in system.constants for value in block.values()]
-        once += [value for _, value in system.calculated.values()] + [state.initial for state in carried.values()]
+        once += [value for _, value in system.calculated.values()] + [state.initial for state in system.carried.values()]
         fixed = fixed.union(*map(symbols_in, once))
     return frozenset(slot.name for slot in program.slots if slot.kind == "parameter" and slot.name not in fixed)
 
@@ -133,6 +132,16 @@ class Interface:
         size = ca.Function("size", [system.vector(names)], [system.expand(SX(state.scale))])
         value = abs(float(size([self.program.starts[self.program.index[name]] for name in names])))
         return value if 0.0 < value < math.inf else 1.0
+
+    @property
+    def sample_time(self) -> float | None:
+        """Start value of the sample time [s], None where nothing is sampled."""
+        return next((slot.start for slot in self.program.slots if slot.name == SAMPLE_TIME.name), None)
+
+    @property
+    def continuous(self) -> bool:
+        """True if some variant has continuous states."""
+        return any(variant.system.states for variant in self.program.variants)
 
     @property
     def items(self) -> list[str]:

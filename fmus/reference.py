@@ -10,6 +10,7 @@ import csv
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +30,14 @@ COMPARISON_STEP = 2e-2  # s between two times at which they are compared, a mult
 TUBE_HALF_WIDTH = 1e-6  # half width of the tube over the range of the signal
 
 
+def _voltage(t: NDArray[np.floating[Any]]) -> Array:
+    return np.asarray(6.0 * np.sin(5.0 * t) + 2.0 * np.sin(23.0 * t))
+
+
 def inputs(what: str) -> dict[str, Array]:
     """Return the inputs of the reference run, one value a step."""
     t = REFERENCE_RUN_STEP * np.arange(REFERENCE_RUN_STEPS)
-    voltage = 6.0 * np.sin(5.0 * t) + 2.0 * np.sin(23.0 * t)
+    voltage = _voltage(t)
     if what == "plant":
         return {"u": voltage, "tau_load": np.where(t < 1.0, 0.0, 0.002), "load_scale": np.where(t < 1.5, 1.0, 1.5)}
     if what == "observer":
@@ -88,7 +93,7 @@ def step_errors(law: str, held: bool) -> list[float]:
     def velocity(step: float) -> Array:
         k, ratio = np.arange(round(end / step)), round(COMPARISON_STEP / step)
         t = COMPARISON_STEP * (k // ratio) if held else step * k
-        record, _ = Native(program).run(step, {"u": 6.0 * np.sin(5.0 * t) + 2.0 * np.sin(23.0 * t)}, ["v"])
+        record, _ = Native(program).run(step, {"u": _voltage(t)}, ["v"])
         return np.asarray(record[::ratio, 0])
 
     exact = velocity(FINEST_STEP)

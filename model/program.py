@@ -22,7 +22,7 @@ from bristle.model.proximal import Unknown, proximal
 from bristle.model.rosenbrock import rodas
 from bristle.model.switching import at_the_point
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME, System
-from bristle.model.variables import Parameter, State, Variable
+from bristle.model.variables import Parameter, Variable
 
 __all__ = ["Program"]
 
@@ -89,11 +89,6 @@ def _solved(values: SX, unknowns: Sequence[Unknown]) -> SX:
     for unknown in reversed(unknowns):
         [values] = ca.substitute([values], [unknown.symbol], [unknown.solution])
     return values
-
-
-def _carried(system: System) -> dict[str, State]:
-    """Return all that a system carries from one step to the next."""
-    return {**system.states, **system.before, **system.after, **system.modes}
 
 
 def _own(system: System, name: str) -> str:
@@ -231,7 +226,7 @@ class Program:
             partial(self._kernels, system),
             states=self._places(system, system.states),
             ders=tuple(self.index[f"der({_own(system, n)})"] for n in system.states) if system.smooth else (),
-            finite=self._places(system, _carried(system)),
+            finite=self._places(system, system.carried),
             sample_time=parameter(SAMPLE_TIME) if system.before or system.after else -1,
             max_step=parameter(MAX_STEP),
             max_steps=parameter(MAX_STEPS),
@@ -252,7 +247,7 @@ class Program:
             return [(ca.vertcat(*(expression for _, expression in pairs.values())), places)] if pairs else []
 
         add("derive", [*(values(block) for block in system.constants), *public(system.calculated)])
-        add("start", [values({name: SX(state.initial) for name, state in _carried(system).items()})])
+        add("start", [values({name: SX(state.initial) for name, state in system.carried.items()})])
         add("outputs", public(system.outputs))
         for name, sampled in (("before", system.before), ("after", system.after), ("modes", system.modes)):
             add(name, [values({n: system.updates[n] for n in sampled})] if sampled else [])

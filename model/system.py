@@ -212,6 +212,11 @@ class System:
     # -- views -------------------------------------------------------------------------------------------------------
 
     @property
+    def carried(self) -> dict[str, State]:
+        """All that is carried from one step to the next."""
+        return {**self.states, **self.before, **self.after, **self.modes}
+
+    @property
     def smooth(self) -> bool:
         """True if x' = f(x, u) is all there is: no sampled states, modes, states that follow others, or dry friction."""
         return bool(self.states) and not (self.before or self.after or self.modes or self.followed or self.dry)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bristle.cli.app import FAIL, PASS, DebugOption, Fmi, FmiOption, app, path_of
+from bristle.cli.app import FAIL, PASS, DebugOption, Fmi, FmiOption, ScenarioArgument, SeedOption, SetOption, app, path_of
 from bristle.cli.terminal import fraction
 
 
@@ -16,11 +16,11 @@ from bristle.cli.terminal import fraction
     epilog="Exit code 0: the verdict of the scenario is pass in every coupling; 1: in one it is fail; 2: an error.",
 )
 def coupling(
-    scenario: Annotated[Path, typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of)],
+    scenario: ScenarioArgument,
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out/coupling"),
     fmi: FmiOption = Fmi.two,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
-    seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
+    set_: SetOption = None,
+    seed: SeedOption = None,
     debug: DebugOption = False,
 ) -> int:
     """Run a scenario with all FMUs at once and one after the other, and with smaller steps; compare signals and estimates."""

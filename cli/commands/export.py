@@ -7,7 +7,19 @@ from typing import Annotated
 
 import typer
 
-from bristle.cli.app import PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, app, path_of
+from bristle.cli.app import (
+    PASS,
+    DebugOption,
+    Fmi,
+    FmiOption,
+    Kind,
+    KindOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+    app,
+    path_of,
+)
 from bristle.cli.terminal import progress
 
 
@@ -16,12 +28,12 @@ from bristle.cli.terminal import progress
     epilog="bristle run KIT.ssp runs such a file again, also one of another maker.",
 )
 def export(
-    scenario: Annotated[Path, typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of)],
+    scenario: ScenarioArgument,
     out: Annotated[Path, typer.Option(help="folder for the package", metavar="FOLDER", parser=path_of)] = Path("kit"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
-    seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
+    set_: SetOption = None,
+    seed: SeedOption = None,
     platforms: Annotated[str, typer.Option(help="host, all, or names such as win64,linux64", metavar="PLATFORMS")] = "host",
     debug: DebugOption = False,
 ) -> int:

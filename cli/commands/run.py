@@ -8,7 +8,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, TimeoutOption, app, path_of
+from bristle.cli.app import (
+    ERROR,
+    FAIL,
+    PASS,
+    DebugOption,
+    Fmi,
+    FmiOption,
+    Kind,
+    KindOption,
+    SeedOption,
+    SetOption,
+    TimeoutOption,
+    app,
+    path_of,
+)
 from bristle.cli.terminal import complain, progress
 from bristle.common.errors import BristleError
 
@@ -24,8 +38,8 @@ def run(
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
-    seed: Annotated[int | None, typer.Option(help="seed of the controller's reference")] = None,
+    set_: SetOption = None,
+    seed: SeedOption = None,
     full: Annotated[bool, typer.Option("--full", help="signals.csv at full rate")] = False,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, TimeoutOption, app, path_of
+from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, SetOption, TimeoutOption, app, path_of
 from bristle.cli.terminal import command_line, complain, fraction
 from bristle.common.errors import BristleError
 
@@ -31,7 +31,7 @@ def suite(
     vary: Annotated[
         list[str] | None, typer.Option(help="values of a key of the file: a:b:n or [v1, v2]", metavar="PATH=SPEC")
     ] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")] = None,
+    set_: SetOption = None,
     jobs: Annotated[int | None, typer.Option("--jobs", "-j", help="processes; else one a core", min=1, metavar="N")] = None,
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,

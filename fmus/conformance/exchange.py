@@ -344,7 +344,7 @@ def _dependencies(subject: Subject) -> Iterator[str]:
     if not unknowns:
         raise NotApplicable("it declares no dependencies")
     with _scalar_model(subject) as model:
-        yield from undeclared(_Settable(model), unknowns, _knowns(subject))  # type: ignore[arg-type]
+        yield from undeclared(_Settable(model), unknowns, _knowns(subject))  # type: ignore[arg-type]  # it does what an Instance does
 
 
 @exchange("exchange-derivatives", "directional derivatives are the difference quotients")
@@ -355,7 +355,7 @@ def _derivatives(subject: Subject) -> Iterator[str]:
         for known in _knowns(subject):
             own = [name for name in names if name != known]
             nominal = float(subject.variables[known].nominal or 1.0)
-            yield from wrong_slopes(_Settable(model), own, known, nominal)  # type: ignore[arg-type]
+            yield from wrong_slopes(_Settable(model), own, known, nominal)  # type: ignore[arg-type]  # as above
         knowns = _knowns(subject)
         yield from not_linear(model.instance, [name for name in names if name not in knowns], knowns)
 

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bristle.common.errors import BristleError
-from bristle.fmus.calls import Control
 from bristle.fmus.conformance.instance import Subject
-from bristle.fmus.conformance.process import READING_SECONDS, Row, examined
-from bristle.fmus.conformance.registry import POINTS, Point, Result, Verdict, static_conformance
+from bristle.fmus.conformance.process import Row, examined, read_alone
+from bristle.fmus.conformance.registry import POINTS, Point, Result, Verdict
 from bristle.fmus.conformance.running import BEHAVIOUR, BehaviourPoint
-from bristle.fmus.isolate import isolated
 
 
 def conformance(path: Path, progress: Callable[[str, float], None] | None = None) -> list[Result]:
@@ -39,16 +37,12 @@ def conformance(path: Path, progress: Callable[[str, float], None] | None = None
         Subject(path).check_binary()
         rows = examined(path, tell)
     except BristleError as error:
-        rows = isolated(_static, path, [path], list, None, READING_SECONDS)
+        rows = read_alone(path)
         rows += [{"id": name, "verdict": Verdict.not_tested, "findings": [str(error)]} for name in BEHAVIOUR]
     found = {row["id"]: row for row in rows}
     every: list[Point | BehaviourPoint] = [*POINTS.values(), *points]
     return [_result(point, found[point.id]) for point in every]
 
 
-def _static(path: Path, control: Control) -> list[Row]:
-    return [{"id": r.point.id, "verdict": r.verdict, "findings": list(r.findings)} for r in static_conformance(path)]
-
-
 def _result(point: Point | BehaviourPoint, row: Row) -> Result:
-    return Result(point, Verdict(row["verdict"]), tuple(map(str, row["findings"])))
+    return Result(point, row["verdict"], tuple(row["findings"]))

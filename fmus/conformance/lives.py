@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -224,12 +225,16 @@ def _states_freed(subject: Subject) -> Iterator[str]:
         yield f"{grown / LIVES:.0f} bytes a state"
 
 
+def _entries(folder: str) -> int:
+    return len(os.listdir(folder))
+
+
 @behaviour("run-handles", "neither open files nor threads are left by instances", Severity.warning)
 def _handles(subject: Subject) -> Iterator[str]:
     _ask_proc()
     ask_several(subject)
     for what, folder in (("open files", "fd"), ("threads", "task")):
-        left = _grown(lambda: _new_life(subject), lambda folder=folder: len(os.listdir(f"/proc/self/{folder}")))  # type: ignore[misc]
+        left = _grown(partial(_new_life, subject), partial(_entries, f"/proc/self/{folder}"))
         if left > ALLOWED_HANDLES:
             yield f"{left} {what} after {LIVES} instances"
 

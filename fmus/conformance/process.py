@@ -156,6 +156,11 @@ def _run_alone(progress: Callable[[int], None] | None, jobs: Sequence[Job]) -> l
     return rows
 
 
+def read_alone(path: Path) -> list[Row]:
+    """Return a row for each point of archive, libraries and description; raise `BristleError` if the file cannot be read."""
+    return isolated(_alone, Reading(path), [path], _rows, None, READING_SECONDS)
+
+
 def _alone(job: Job, control: Control) -> list[Row]:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         return job.rows(_Unpacked(Path(folder)))

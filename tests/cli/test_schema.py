@@ -8,7 +8,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-SCENARIOS = sorted(Path(str(files("bristle.scenarios"))).glob("**/*.toml"))
+SHIPPED = Path(str(files("bristle.scenarios")))
+FILES = sorted([*SHIPPED.glob("*.toml"), *SHIPPED.glob("hidden/*/*.toml")])
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def schema(call):
 def test_files_agree_with_the_schema(schema):
     validators = {kind: schema(kind) for kind in ("scenario", "model")}
     count = dict.fromkeys(validators, 0)
-    for path in SCENARIOS:
+    for path in FILES:
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
         kind = "scenario" if "observer" in tree else "model"
         errors = [error.message for error in validators[kind].iter_errors(tree)]
@@ -44,7 +45,7 @@ def test_files_agree_with_the_schema(schema):
     ],
 )  # fmt: skip
 def test_mistakes_do_not(schema, old, new):
-    text = (Path(str(files("bristle.scenarios"))) / "quick.toml").read_text(encoding="utf-8")
+    text = (SHIPPED / "quick.toml").read_text(encoding="utf-8")
     assert old in text
     assert not schema("scenario").is_valid(tomllib.loads(text.replace(old, new)))
 
