@@ -84,6 +84,7 @@ def build(
     parameters: Mapping[str, float] | None = None,
     units: Callable[[str, str], str] | None = None,
     platforms: str = "host",
+    related: Callable[[Mapping[str, bytes]], Mapping[str, bytes]] | None = None,
 ) -> Path:
     """Write an FMU to a file.
 
@@ -109,6 +110,8 @@ def build(
         Gives the unit that a variable is declared with, from its name and its usual unit.
     platforms : str
         What a native FMU is compiled for: ``host``, ``all``, or names such as ``win64,linux64`` (`find_platforms`).
+    related : function, optional
+        Gives files to add from the others; by default parameters, a smoke test and checksums (`related_files`).
 
     Raises
     ------
@@ -117,10 +120,12 @@ def build(
         `out` cannot be written.
     """
     from bristle.fmus.pack import write_archive
+    from bristle.fmus.related import related_files
 
     program = program_of(what, _check(what, fmi, kind, law, method, effects, platforms), effects, encoder).preset(parameters or {})
     declared = program if units is None else program.in_units(units)
-    return write_archive(Path(out), program_files(declared, fmi, kind, platforms))
+    content = program_files(declared, fmi, kind, platforms)
+    return write_archive(Path(out), {**content, **(related or related_files)(content)})
 
 
 def _sources(package: str) -> list[str | bytes]:
@@ -142,6 +147,11 @@ def _key(kind: str, *arguments: object) -> str:
     return digest(SOURCES, *plugins, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments)))
 
 
+def nothing(_content: Mapping[str, bytes]) -> Mapping[str, bytes]:
+    """Return no files to add: an FMU of the cache is run here and now."""
+    return {}
+
+
 def obtain(
     what: str,
     *,
@@ -153,7 +163,7 @@ def obtain(
     encoder: bool = True,
     parameters: Mapping[str, float] | None = None,
 ) -> Path:
-    """Return an FMU as a file of the cache, built only if it is not there.
+    """Return an FMU as a file of the cache, built only if it is not there; without the files of `related_files`.
 
     Parameters
     ----------
@@ -170,6 +180,9 @@ def obtain(
     name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
-        build(what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, encoder=encoder, parameters=parameters)
+        build(
+            what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, encoder=encoder, parameters=parameters,
+            related=nothing,
+        )  # fmt: skip
 
     return cached(f"{name}.fmu", make)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.fmus.host import Fmu, Slave
-from bristle.fmus.isolate import isolated
+from bristle.fmus.host import Fmu
+from bristle.fmus.response import respond
 
 Array = NDArray[np.float64]
 
@@ -203,27 +203,15 @@ def _experiment(first: Fmu, second: Fmu) -> Iterator[Difference]:
             yield Difference(Change.default, "default experiment", f"{attribute} {before} became {after}")
 
 
-@dataclass(frozen=True)
-class _Experiment:
-    """A simulation: step size [s], number of steps, input values (steps,) by name, outputs that are read."""
-
-    fmu: Fmu
-    h: float
-    steps: int
-    inputs: Mapping[str, Array]
-    outputs: tuple[str, ...]
-
-
 def _behaviour(first: Fmu, second: Fmu) -> Iterator[Difference]:
     """Give the outputs that differ over the default experiment of the first one, its inputs moved within their ranges."""
     common = [n for n in first.names("output") if first.is_real(n) and second.has(n, "output") and second.is_real(n)]
-    h, steps = _steps(first)
+    start, h, steps = _steps(first)
     moved = {n: wave for n, wave in _waves(first, steps).items() if second.has(n, "input") and second.is_real(n)}
     runs = []
     for fmu in (first, second):
-        task = _Experiment(fmu, h, steps, moved, tuple(common))
         try:
-            runs.append(isolated(_simulated, task, [fmu.path], np.asarray))
+            runs.append(respond(fmu, h, steps, moved, common, start=start))
         except BristleError as error:
             if fmu is first:
                 raise
@@ -239,13 +227,14 @@ def _behaviour(first: Fmu, second: Fmu) -> Iterator[Difference]:
             yield Difference(Change.behaviour, f"output {name}", text)
 
 
-def _steps(fmu: Fmu) -> tuple[float, int]:
-    """Return step size [s] and number of steps of the default experiment."""
+def _steps(fmu: Fmu) -> tuple[float, float, int]:
+    """Return start [s], step size [s] and number of steps of the default experiment."""
     given = fmu.description.defaultExperiment
     start, stop, h = (_time(getattr(given, name, None)) for name in ("startTime", "stopTime", "stepSize"))
-    duration = (1.0 if stop is None else stop) - (start or 0.0)
+    start = start or 0.0
+    duration = (1.0 if stop is None else stop) - start
     h = duration / USUAL_STEPS if h is None else h
-    return h, max(1, min(LONGEST_COMPARISON, round(duration / h)))
+    return start, h, max(1, min(LONGEST_COMPARISON, round(duration / h)))
 
 
 def _time(text: object) -> float | None:
@@ -264,24 +253,3 @@ def _waves(fmu: Fmu, steps: int) -> dict[str, Array]:
         wave = sum(np.sin(2 * np.pi * w * k * t) for w in INPUT_WAVES) / 2
         found[name] = np.clip(start + size * np.asarray(wave), low, high)
     return found
-
-
-def _simulated(task: _Experiment, control: NDArray[np.int64]) -> Array:
-    """Return the outputs (steps, outputs) after each step; in the child process."""
-    given, three = task.fmu.description.defaultExperiment, task.fmu.fmi == 3
-    start = _time(getattr(given, "startTime", None)) or 0.0
-    with Slave(task.fmu, "compared") as slave:
-        slave.initialise({}, start)
-        instance = slave.instance
-        put: Callable[[Sequence[int], list[float]], None] = instance.setFloat64 if three else instance.setReal
-        get: Callable[[Sequence[int]], list[float]] = instance.getFloat64 if three else instance.getReal
-        into, out = ([task.fmu.reference(n) for n in names] for names in (task.inputs, task.outputs))
-        rows = np.column_stack([*task.inputs.values()]).tolist() if task.inputs else []
-        shown = np.empty((task.steps, len(out)))
-        for k in range(task.steps):
-            if into:
-                put(into, rows[k])
-            instance.doStep(start + k * task.h, task.h)
-            shown[k] = get(out) if out else []
-            control[0] = k
-    return shown

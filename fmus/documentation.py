@@ -72,5 +72,6 @@ def documentation(interface: Interface) -> str:
         if variables := interface.of(*causalities):
             parts.append(f"<h2>{title}</h2>\n" + _table([_row(x) for x in variables]))
     parts.append(_step_sizes(interface))
+    parts.append('<p>How to see that an importer steps it as it should: <a href="fmi-ls-ref.html">related files</a>.</p>')
     head = f'<meta charset="utf-8">\n<title>{escape(program.name)}</title>\n<style>{PAGE_STYLE}</style>'
     return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n' + "\n".join(parts) + "\n</body>\n</html>\n"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bristle.fmus.build import FMU_NAMES, program_of
 from bristle.fmus.interface import Interface
 from bristle.model.native import Native
+from bristle.model.program import Program
 from bristle.plant.friction import laws
 
 Array = NDArray[np.float64]
@@ -34,20 +35,27 @@ def _voltage(t: NDArray[np.floating[Any]]) -> Array:
     return np.asarray(6.0 * np.sin(5.0 * t) + 2.0 * np.sin(23.0 * t))
 
 
-def inputs(what: str) -> dict[str, Array]:
-    """Return the inputs of the reference run, one value a step."""
-    t = REFERENCE_RUN_STEP * np.arange(REFERENCE_RUN_STEPS)
-    voltage = _voltage(t)
-    if what == "plant":
-        return {"u": voltage, "tau_load": np.where(t < 1.0, 0.0, 0.002), "load_scale": np.where(t < 1.5, 1.0, 1.5)}
-    if what == "observer":
-        return {"u": voltage, "y_theta": 0.8 - 0.8 * np.cos(5.0 * t), "y_v": 4.0 * np.sin(5.0 * t)}
-    return {"y_v": 2.0 * np.sin(3.0 * t)}
+def waves(t: NDArray[np.floating[Any]]) -> dict[str, Array]:
+    """Return what inputs of the FMUs are in a short run at times t [s], by their names."""
+    return {
+        "u": _voltage(t),
+        "tau_load": np.where(t < 1.0, 0.0, 0.002),
+        "load_scale": np.where(t < 1.5, 1.0, 1.5),
+        "y_theta": np.asarray(0.8 - 0.8 * np.cos(5.0 * t)),
+        "y_v": np.asarray(4.0 * np.sin(5.0 * t)),
+    }
+
+
+def inputs(program: Program) -> dict[str, Array]:
+    """Return the inputs of the reference run of a program, one value a step."""
+    known = waves(REFERENCE_RUN_STEP * np.arange(REFERENCE_RUN_STEPS))
+    return {x.name: known[x.name] for x in Interface(program).of("input") if x.name in known}
 
 
 def reference_run(what: str) -> dict[str, Array]:
     """Simulate the program behind an FMU, without FMI; return time, inputs and all outputs that are numbers."""
-    program, given = program_of(what), inputs(what)
+    program = program_of(what)
+    given = inputs(program)
     names = [x.name for x in Interface(program).of("output")]
     record, _ = Native(program).run(REFERENCE_RUN_STEP, given, names)
     columns: dict[str, Array] = {"time": REFERENCE_RUN_STEP * np.arange(REFERENCE_RUN_STEPS + 1, dtype=np.float64)}

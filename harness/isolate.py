@@ -54,4 +54,4 @@ def _trace(bus: Bus, answer: Any) -> Trace:
     failure = answer["failure"]
     if failure is not None:
         failure = Failure(str(failure[0]), float(failure[1]), str(failure[2]))
-    return Trace(bus.record, values, bus.h, found, failure)
+    return Trace(bus.record, values, bus.h, found, failure, bus.start)

@@ -12,40 +12,37 @@ from typing import Any
 import numpy as np
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.html import badge, identifier, number, page, table
+from bristle.common.html import badge, identifier, page
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
+from bristle.common.signals import EXACT_DIGITS, table_text
 from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
+from bristle.fmus.related import Experiment, related_files
 from bristle.harness import results
+from bristle.harness.archive import Archive
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.kit_readme import readme
 from bristle.harness.loop import Bus, Instance, Port, Trace
 from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
+from bristle.harness.replay import Agreement, agreement, rows_of, signals_text, table_of
 from bristle.harness.run import Options, Outcome, check, outcome
-from bristle.harness.ssp import CSV_TYPE, FMU_TYPE, STEPS_BY_DEFAULT, Component, Package, SystemStructure, package_files
+from bristle.harness.ssp import (
+    CSV_TYPE,
+    FMU_TYPE,
+    LONGEST_REPLAY,
+    STEPS_BY_DEFAULT,
+    Component,
+    Package,
+    SystemStructure,
+    package_files,
+)
 
 REFERENCE = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
 STIMULI = "stimuli"
-MOST_ROWS = 2001  # of the reference signals
-EXACT_DIGITS = 17  # of a number in a table, which then is the same double
+MOST_STEPS_INSIDE, MOST_ROWS_INSIDE = 5000, 250  # of a run that an FMU holds: inputs at each step, outputs at some
 REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
-LONGEST_REPLAY = 10_000_000
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How far a signal is from its reference: largest difference over the range, and when; None if the signal is missing."""
-
-    name: str
-    worst: float | None
-    time: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether it is within the tolerance."""
-        return self.worst is not None and self.worst <= REPLAY_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
             found = outcome(replace(checked, bus=bus))
             if (failure := found.view.trace.failure) is not None:
                 raise BristleError(f"{path}: the run ends at {failure.time:g} s: {failure.message}; export one that ends well")
-            files = {f"{name}.fmu": file.read_bytes() for name, file in fmus.items()}
+            files = {f"{name}.fmu": _with_experiments(file, name, bus, setup, found) for name, file in fmus.items()}
         system = _system(setup, bus)
         content = _content(setup, found)
         package = archive_bytes(package_files(system) | {f"resources/{name}": data for name, data in files.items()} | content)
@@ -113,7 +110,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
 
 def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
     """Return the FMU of a unit with the scenario's parameters as start values; one from elsewhere as it is."""
-    from bristle.fmus import build
+    from bristle.fmus.build import build, nothing
 
     fmu, target = setup.fmus[name], folder / f"{name}.fmu"
     if fmu.foreign:
@@ -124,7 +121,33 @@ def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
     chosen: dict[str, Any] = {"law": plant.law, "effects": plant.effects} if name == "plant" and plant else {}
     chosen |= {"method": method} if name == "observer" else {}
     version = int(str(fmu.description.fmiVersion)[0])
-    return build(name, target, fmi=version, kind=fmu.kind, parameters=_numbers(setup, name), platforms=platforms, **chosen)
+    return build(
+        name, target, fmi=version, kind=fmu.kind, parameters=_numbers(setup, name), platforms=platforms,
+        related=nothing, **chosen,
+    )  # fmt: skip
+
+
+def _with_experiments(file: Path, name: str, bus: Bus, setup: Setup, found: Outcome) -> bytes:
+    """Return an FMU of ours with its part of the run as an experiment inside; one from elsewhere as it is."""
+    if name in setup.fmus and setup.fmus[name].foreign:
+        return file.read_bytes()
+    archive = Archive(file)
+    content = {each: archive.read(each) for each in archive.names}
+    experiments = [_part_of_run(name, bus, setup, found.view.trace)] if name in setup.fmus else []
+    about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
+    return archive_bytes({**content, **related_files(content, experiments, report={"verdict.json": to_json(about).encode()})})
+
+
+def _part_of_run(name: str, bus: Bus, setup: Setup, trace: Trace) -> Experiment:
+    """Return what a unit got and gave in the first steps of the run."""
+    steps = min(bus.steps, MOST_STEPS_INSIDE)
+    given = {port: each.values(bus.steps, bus.h) for each in setup.stimuli for port in each.ports}
+    given |= {target: trace[source] for source, target in bus.links}
+    rows = np.arange(0, steps + 1, max(1, steps // MOST_ROWS_INSIDE))
+    outputs = {variable: trace[unit, variable][rows] for unit, variable in trace.record if unit == name}
+    about = f"the first {steps * bus.h:g} s of scenario {setup.loaded.name}, with the inputs that it got there"
+    stimuli = {variable: values[:steps] for (unit, variable), values in given.items() if unit == name}
+    return Experiment("validation", about, bus.h, steps, stimuli, {"time": np.asarray(bus.h * rows, dtype=np.float64), **outputs})
 
 
 def _tabulated(setup: Setup) -> bool:
@@ -178,19 +201,12 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
 def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates", "provenance")}
-    files = {REFERENCE: _table(found.view.trace).encode(), VERDICT: to_json(about).encode()}
+    files = {REFERENCE: _signals(found.view.trace).encode(), VERDICT: to_json(about).encode()}
     if _tabulated(setup):
         time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
         columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
-        files[f"resources/{STIMULI}.csv"] = results.table_text({"time": time, **columns}, EXACT_DIGITS).encode()
+        files[f"resources/{STIMULI}.csv"] = table_text({"time": time, **columns}, EXACT_DIGITS).encode()
     return files
-
-
-def _table(trace: Trace) -> str:
-    """Return the signals of a run, thinned to equal steps."""
-    stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
-    columns = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
-    return results.table_text({name: values[::stride] for name, values in {"time": trace.time, **columns}.items()}, EXACT_DIGITS)
 
 
 # -- replay --------------------------------------------------------------------------------------------------------------
@@ -252,7 +268,7 @@ def _replay_bus(package: Package, folder: Path) -> Bus:
             links.append((source, target))
     instances = tuple(Instance(each.name, fmus[each.name], dict(each.values)) for each in system.components if each.name in fmus)
     record = tuple((name, each) for name, fmu in fmus.items() for each in fmu.names("output") if fmu.is_real(each))
-    return Bus(instances, steps, step, links=tuple(links), series=series, record=record)
+    return Bus(instances, steps, step, links=tuple(links), series=series, record=record, start=system.start)
 
 
 def _unpacked(package: Package, component: Component, folder: Path) -> Fmu:
@@ -286,32 +302,21 @@ def _check_port(package: Package, fmus: Mapping[str, Fmu], port: Port, causality
 
 
 def _agreement(package: Package, trace: Trace) -> tuple[Agreement, ...]:
-    """Compare the signals with the reference at its times."""
-    time, columns = package.columns(REFERENCE)
-    rows = np.round((time - package.system.start) / trace.h).astype(int)
-    found = []
-    for name, expected in columns.items():
-        port = (name.partition(".")[0], name.partition(".")[2])
-        got = trace.get(port)
-        if got is None or rows[-1] >= len(got):
-            found.append(Agreement(name, None, 0.0))
-            continue
-        size = max(float(np.ptp(expected)), float(np.abs(expected).max()), np.finfo(float).tiny)
-        distance = np.abs(got[rows] - expected) / size
-        worst = int(np.argmax(np.where(np.isnan(distance), np.inf, distance)))
-        found.append(Agreement(name, float(distance[worst]) if np.isfinite(distance[worst]) else None, float(time[worst])))
-    return tuple(found)
+    """Compare the signals with the reference."""
+    signals = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
+    return agreement(package.columns(REFERENCE), trace.time, signals, REPLAY_TOLERANCE)
+
+
+def _signals(trace: Trace) -> str:
+    return signals_text(trace, [f"{unit}.{name}" for unit, name in trace.record])
 
 
 def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, str | bytes]:
     verdict = "pass" if found.passed else "fail"
-    rows = [
-        {"name": e.name, "worst": e.worst, "time_s": e.time, "limit": REPLAY_TOLERANCE, "pass": e.holds} for e in found.agreement
-    ]
     recorded = _recorded(package)
-    tree = {"package": package.path.name, "verdict": verdict, "failure": found.failure, "signals": rows, "recorded": recorded}
-    content = to_json({**tree, "provenance": provenance()})
-    return {"result.json": content, "signals.csv": _table(trace), "report.html": _page(package, found)}
+    tree = {"package": package.path.name, "verdict": verdict, "failure": found.failure, "signals": rows_of(found.agreement)}
+    content = to_json({**tree, "recorded": recorded, "provenance": provenance()})
+    return {"result.json": content, "signals.csv": _signals(trace), "report.html": _page(package, found)}
 
 
 def _recorded(package: Package) -> Any:
@@ -325,13 +330,9 @@ def _recorded(package: Package) -> Any:
 
 
 def _page(package: Package, found: Replayed) -> str:
-    cells = [
-        (identifier(e.name), number(e.worst, 2), number(e.time), badge("good", "agrees") if e.holds else badge("bad", "differs"))
-        for e in found.agreement
-    ]
     head = badge("good", "pass") if found.passed else badge("bad", "fail")
     text = "Largest difference from the reference, over the range of the signal, and when." if found.compared else \
         "The package holds no reference to compare with."  # fmt: skip
     failure = f'<p class="alarm">{found.failure}</p>' if found.failure else ""
     body = f"<header><h1>Replay of {identifier(package.path.name)} {head}</h1></header>{failure}<p>{text}</p>"
-    return page(f"replay of {package.path.name}", body + table(("signal", "difference", "s", ""), cells, (1, 2)))
+    return page(f"replay of {package.path.name}", body + table_of(found.agreement))

@@ -50,6 +50,7 @@ typedef struct {
     long long n_units, n_links, n_events, n_series, n_taps;
     long long split, sequential;    /* communication steps a row; Gauss-Seidel in the order of the units */
     double h;                       /* time between two rows */
+    double start;                   /* time of row 0 */
     long long failed_unit, failed_status, failed_call;
 } Master;
 
@@ -171,7 +172,7 @@ EXPORT long long loop_run(Master *m, long long first, long long count)
             *m->events[m->next_event].to = m->events[m->next_event].value;
         for (long long i = 0; i < m->n_series; i++) *m->series_to[i] = m->series[k * m->n_series + i];
         for (long long s = 0; s < m->split; s++) {
-            if (step_all(m, (double)(k * m->split + s) * h, h) > WARNING) return k - first;
+            if (step_all(m, m->start + (double)(k * m->split + s) * h, h) > WARNING) return k - first;
             if (m->mean) add_means(m, k + 1);
         }
         write_row(m, k + 1);

@@ -65,6 +65,7 @@ class Bus:
     watch: tuple[str, ...] = ()
     split: int = 1
     sequential: bool = False
+    start: float = 0.0
 
     @property
     def chunk(self) -> int:
@@ -88,13 +89,14 @@ class Failure:
 
 @dataclass
 class Trace:
-    """What a run leaves behind: row k of `values` is the bus at t_k; `flags` are (row, values), the first at row 0."""
+    """What a run leaves behind: row k of `values` is the bus at start + k h; `flags` are (row, values), the first at row 0."""
 
     record: tuple[Port, ...]
     values: Array
     h: float
     flags: list[tuple[int, dict[Port, float]]]
     failure: Failure | None = None
+    start: float = 0.0
 
     def __getitem__(self, port: Port) -> Array:
         return self.values[:, self.record.index(port)]
@@ -126,7 +128,7 @@ class Trace:
     @property
     def time(self) -> Array:
         """Time of each row."""
-        return np.asarray(np.arange(len(self.values)) * self.h)
+        return np.asarray(self.start + np.arange(len(self.values)) * self.h)
 
 
 class _Unit(ctypes.Structure):
@@ -153,7 +155,7 @@ class _Master(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("taps", "factors", "mean", "record", "control")),
         *((name, ctypes.c_longlong) for name in ("next_event", "n_units", "n_links", "n_events", "n_series", "n_taps")),
         ("split", ctypes.c_longlong), ("sequential", ctypes.c_longlong),
-        ("h", ctypes.c_double),
+        ("h", ctypes.c_double), ("start", ctypes.c_double),
         *((name, ctypes.c_longlong) for name in ("failed_unit", "failed_status", "failed_call")),
     ]  # fmt: skip
 
@@ -264,7 +266,7 @@ class Session:
     def _node(self, instance: Instance) -> Node:
         bus, name = self.bus, instance.name
         slave = self._stack.enter_context(Slave(instance.fmu, name))
-        slave.initialise(instance.values)
+        slave.initialise(instance.values, bus.start)
         driven = [*(to for _, to in bus.links), *(to for _, to, _ in bus.events), *bus.series]
         read = [*(source for source, _ in bus.links), *bus.record]
         inputs = dict.fromkeys(variable for unit, variable in driven if unit == name)
@@ -314,7 +316,8 @@ class Session:
         master = _Master(
             ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
             _pointer(taps), _pointer(factors), means, _pointer(self.values), _pointer(self.control),
-            0, len(units), len(links), len(events), len(series_to), len(taps), bus.split, bus.sequential, bus.h, -1, 0, 0,
+            0, len(units), len(links), len(events), len(series_to), len(taps),
+            bus.split, bus.sequential, bus.h, bus.start, -1, 0, 0,
         )  # fmt: skip
         lib.loop_start(ctypes.byref(master))
         done = 0
@@ -324,7 +327,7 @@ class Session:
             new = lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
             early = self._diverged(done + 1, done + new + 1)
             if early is not None:
-                return self._trace(early.time, early)
+                return self._trace(early.time - bus.start, early)
             done += new
             self._pause(done, progress, master.failed_unit < 0)
         self.control[2] = Call.none
@@ -364,7 +367,7 @@ class Session:
             if k % bus.chunk == 0 or k == bus.steps:
                 early = self._diverged(max(1, k - bus.chunk + 1), k + 1)
                 if early is not None:
-                    return self._trace(early.time, early)
+                    return self._trace(early.time - bus.start, early)
                 self._pause(k, progress, True)
         return self._trace(k * bus.h)
 
@@ -378,7 +381,7 @@ class Session:
                 self._transfer([unit], places)
             WATCH.begin(node.slave.fmu.path, Call.step)
             try:
-                node.step(step * h, h)
+                node.step(bus.start + step * h, h)
             except Exception as error:  # FMPy raises plain exceptions of several kinds
                 return self._blame(unit, step * h, " ".join(str(error).split()))
         return None
@@ -399,13 +402,14 @@ class Session:
     # -- the end -----------------------------------------------------------------------------------------------------
 
     def _blame(self, unit: str, time: float, why: str) -> Failure:
-        """Return why a unit failed: what it said, or the unit that gave it a number which is none."""
+        """Return why a unit failed so long after the start: what it said, or the unit that gave it a number which is none."""
+        when = self.bus.start + time
         for (source, name), (to, variable) in self.bus.links:
             array, index = self.nodes[to].place(variable)
             if to == unit and not np.isfinite(array[index]):
-                return Failure(source, time, f"its output {name} is {array[index]}, which {unit} refused")
+                return Failure(source, when, f"its output {name} is {array[index]}, which {unit} refused")
         said = self.nodes[unit].slave.last_message()
-        return Failure(unit, time, why if said == "no message" else f"{why}: {said}")
+        return Failure(unit, when, why if said == "no message" else f"{why}: {said}")
 
     def _diverged(self, first: int, last: int) -> Failure | None:
         """Look for an estimate beyond all bounds in rows first .. last - 1."""
@@ -417,7 +421,7 @@ class Session:
         if not len(rows):
             return None
         unit, name = self.bus.record[columns[int(np.argmax(beyond[rows[0]]))]]
-        return Failure(unit, float((first + rows[0]) * self.bus.h), f"|{name}| is beyond {HUGE:g}")
+        return Failure(unit, float(self.bus.start + (first + rows[0]) * self.bus.h), f"|{name}| is beyond {HUGE:g}")
 
     def _pause(self, done: int, progress: Progress | None, healthy: bool) -> None:
         if healthy and self.bus.flags:
@@ -427,7 +431,7 @@ class Session:
 
     def _trace(self, time: float, failure: Failure | None = None) -> Trace:
         rows = round(time / self.bus.h) + 1
-        return Trace(self.bus.record, self.values[:rows], self.bus.h, self.flags, failure)
+        return Trace(self.bus.record, self.values[:rows], self.bus.h, self.flags, failure, self.bus.start)
 
 
 def simulate(

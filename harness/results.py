@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import tempfile
 from collections.abc import Mapping
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 from bristle.common.output import complain, write_file
+from bristle.common.signals import table_text
 
 RESULT_SUFFIXES = {".json", ".csv", ".html", ".svg"}  # of the files in a result folder
 THINNED_ROWS = 2000  # rows of signals.csv unless it is written at full rate
@@ -24,14 +23,6 @@ def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
     rows = len(next(iter(columns.values())))
     kept = np.arange(rows) if full else np.unique(np.linspace(0, rows - 1, min(rows, THINNED_ROWS)).round().astype(int))
     return table_text({name: column[kept] for name, column in columns.items()}, 10)
-
-
-def table_text(columns: Mapping[str, NDArray[np.float64]], digits: int) -> str:
-    """Return columns of numbers as CSV with a head."""
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerow(columns)
-    np.savetxt(out, np.column_stack(list(columns.values())), fmt=f"%.{digits}g", delimiter=",")
-    return out.getvalue()
 
 
 def refuse_strange(target: Path) -> None:

@@ -7,32 +7,24 @@ Source: ssp2019 (System Structure and Parameterization 1.0).
 
 from __future__ import annotations
 
-import csv
-import io
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bristle.common.errors import BristleError
+from bristle.common.parameter_set import SSV, Value, finite_number, parameter_set, parameter_values
 from bristle.common.xml import document
+from bristle.harness.archive import Archive
 
-Array = NDArray[np.float64]
 Port = tuple[str, str]  # (component, connector)
-Value = float | int | bool | str
 
 SPACE = "http://ssp-standard.org/SSP1/"
-SSD, SSC, SSV = (f"{SPACE}SystemStructure{part}" for part in ("Description", "Common", "ParameterValues"))
+SSD, SSC = (f"{SPACE}SystemStructure{part}" for part in ("Description", "Common"))
 OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"  # of the annotation of OMSimulator
 FMU_TYPE, CSV_TYPE = "application/x-fmu-sharedlibrary", "text/csv"
-KINDS_OF_VALUES = {bool: "Boolean", int: "Integer", str: "String", float: "Real"}  # in this order: a bool is an int
 DESCRIPTION = "SystemStructure.ssd"
-MOST_BYTES = 2 << 30  # that a package may unpack to
 STEPS_BY_DEFAULT = 500  # of an experiment that says nothing about its step
+LONGEST_REPLAY = 10_000_000  # steps
 
 
 @dataclass(frozen=True)
@@ -61,9 +53,9 @@ class SystemStructure:
 # -- writing -------------------------------------------------------------------------------------------------------------
 def package_files(system: SystemStructure) -> dict[str, bytes]:
     """Return SystemStructure.ssd and the parameter sets of the components, by their names in the package."""
-    for prefix, space in (("ssd", SSD), ("ssc", SSC), ("ssv", SSV), ("oms", OMS)):
+    for prefix, space in (("ssd", SSD), ("ssc", SSC), ("oms", OMS)):
         ET.register_namespace(prefix, space)
-    sets = {f"resources/{each.name}.ssv": _parameter_set(each) for each in system.components if each.values}
+    sets = {f"resources/{each.name}.ssv": parameter_set(each.name, each.values) for each in system.components if each.values}
     return {DESCRIPTION: _description(system), **sets}
 
 
@@ -99,18 +91,8 @@ def _annotate(whole: ET.Element, step: float) -> None:
     ET.SubElement(about, f"{{{OMS}}}FixedStepMaster", master)
 
 
-def _parameter_set(component: Component) -> bytes:
-    root = ET.Element(f"{{{SSV}}}ParameterSet", version="1.0", name=component.name)
-    parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
-    for name, value in component.values.items():
-        kind = next(name for each, name in KINDS_OF_VALUES.items() if isinstance(value, each))
-        text = str(value).lower() if kind == "Boolean" else str(value) if kind == "String" else repr(value)
-        ET.SubElement(ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=name), f"{{{SSV}}}{kind}", value=text)
-    return document(root)
-
-
 # -- reading -------------------------------------------------------------------------------------------------------------
-class Package:
+class Package(Archive):
     """A package as a file of any maker; nothing is unpacked before it is asked for.
 
     Raises
@@ -119,60 +101,14 @@ class Package:
         One line, if it is no package, or holds what is not supported.
     """
 
+    suffix = ".ssp"
+
     def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            with zipfile.ZipFile(path) as archive:
-                self.names = frozenset(archive.namelist())
-                size = sum(entry.file_size for entry in archive.infolist())
-        except OSError as error:
-            raise BristleError(f"{path}: {error.strerror}; check the path of the package") from None
-        except zipfile.BadZipFile:
-            raise BristleError(f"{path}: not a zip archive; give an .ssp file") from None
-        if size > MOST_BYTES:
-            raise BristleError(f"{path}: unpacks to {size} bytes; allowed are {MOST_BYTES}")
+        super().__init__(path)
         self.system = self._system()
 
-    def mistake(self, message: str) -> BristleError:
-        """Return the one-line error about this package."""
-        return BristleError(f"{self.path}: {message}")
-
-    def read(self, name: str) -> bytes:
-        """Return the content of one of its files."""
-        if name not in self.names:
-            raise self.mistake(f"holds no file '{name}'")
-        try:
-            with zipfile.ZipFile(self.path) as archive:
-                return archive.read(name)
-        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
-            raise self.mistake(f"{name}: cannot be unpacked ({error}); make the package again") from None
-
-    def unpack(self, name: str, folder: Path) -> Path:
-        """Write one of its files into a folder, under its last name, and return where."""
-        target = folder / PurePosixPath(name).name
-        target.write_bytes(self.read(name))
-        return target
-
-    def columns(self, name: str) -> tuple[Array, dict[str, Array]]:
-        """Return time and columns of one of its CSV files."""
-        try:
-            head, *rows = csv.reader(io.StringIO(self.read(name).decode("utf-8-sig")))
-            table = np.array([[float(cell) for cell in row] for row in rows])
-            values = dict(zip(head[1:], table.T[1:], strict=True))
-        except (ValueError, IndexError) as error:
-            raise self.mistake(f"{name}: no table of numbers with a head and time first ({error})") from None
-        if not len(table) or not np.isfinite(table).all() or (np.diff(table[:, 0]) < 0).any():
-            raise self.mistake(f"{name}: its times must rise, and its values be finite")
-        return table[:, 0], values
-
-    def _tree(self, name: str) -> ET.Element:
-        try:
-            return ET.fromstring(self.read(name))
-        except ET.ParseError as error:
-            raise self.mistake(f"{name}: no XML ({error})") from None
-
     def _system(self) -> SystemStructure:
-        root = self._tree(DESCRIPTION)
+        root = self.tree(DESCRIPTION)
         whole = root.find(f"{{{SSD}}}System")
         if root.tag != f"{{{SSD}}}SystemStructureDescription" or whole is None:
             raise self.mistake(f"{DESCRIPTION} is no description of a system by SSP 1.0")
@@ -208,32 +144,14 @@ class Package:
             if binding.find(f"{{{SSD}}}ParameterMapping") is not None:
                 raise self.mistake("maps names of parameters, which is not supported")
             source = binding.get("source")
-            sets = [self._tree(source)] if source else list(binding.iter(f"{{{SSV}}}ParameterSet"))
+            sets = [self.tree(source)] if source else list(binding.iter(f"{{{SSV}}}ParameterSet"))
             prefix = binding.get("prefix", "")
-            for each in (p for found in sets for p in found.iter(f"{{{SSV}}}Parameter")):
-                yield f"{prefix}{each.get('name', '')}", self._value(each)
-
-    def _value(self, parameter: ET.Element) -> Value:
-        for value in parameter:
-            kind, text = value.tag.rpartition("}")[2], value.get("value", "")
-            if kind == "Real":
-                return self._number(text)
-            if kind in ("Integer", "Enumeration"):
-                return int(self._number(text))
-            if kind == "String":
-                return text
-            if kind == "Boolean" and text in ("true", "false", "0", "1"):
-                return text in ("true", "1")
-        raise self.mistake(f"parameter '{parameter.get('name')}' is neither Real nor Integer, Boolean or String")
+            with self.named():
+                yield from ((f"{prefix}{name}", value) for each in sets for name, value in parameter_values(each))
 
     def _number(self, text: str | None) -> float:
-        try:
-            value = float(text or "")
-        except ValueError:
-            raise self.mistake(f"'{text}' is no number") from None
-        if not np.isfinite(value):
-            raise self.mistake(f"'{text}' is not finite")
-        return value
+        with self.named():
+            return finite_number(text)
 
     def _connection(self, element: ET.Element) -> tuple[Port, Port]:
         if list(element):

@@ -1,4 +1,4 @@
-"""`bristle run`: scenarios."""
+"""`bristle run`: scenarios, and what others packed to be run again."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ from bristle.cli.app import (
 from bristle.cli.terminal import complain, progress
 from bristle.common.errors import BristleError
 
+REPLAYED = (".ssp", ".fmu", ".exp")
+
 if TYPE_CHECKING:
     from bristle.harness.run import Checked, Options, Run
 
@@ -33,7 +35,12 @@ if TYPE_CHECKING:
 @app.command(short_help="Run scenarios, and compare estimates with true values.")
 def run(
     scenarios: Annotated[
-        list[Path], typer.Argument(help="files, names from bristle list, or .ssp packages", metavar="SCENARIO", parser=path_of)
+        list[Path],
+        typer.Argument(
+            help="scenario files, names from bristle list, .ssp packages, FMUs with experiments, or .exp files of them",
+            metavar="SCENARIO",
+            parser=path_of,
+        ),
     ],
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out"),
     kind: KindOption = Kind.native,
@@ -41,6 +48,7 @@ def run(
     set_: SetOption = None,
     seed: SeedOption = None,
     full: Annotated[bool, typer.Option("--full", help="signals.csv at full rate")] = False,
+    fmu: Annotated[Path | None, typer.Option(help="the FMU of .exp files", metavar="FILE", parser=path_of)] = None,
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
@@ -48,12 +56,14 @@ def run(
     from bristle.common.output import output_folder
     from bristle.harness.run import Options
 
-    packages = [path for path in scenarios if path.suffix == ".ssp"]
-    if packages:
-        if len(packages) < len(scenarios) or set_ or seed is not None:
-            raise BristleError("an .ssp file is run as it is: without scenario files beside it, --set and --seed")
-        raise typer.Exit(max(_replayed(path, out, timeout, debug) for path in packages))
+    replays = [path for path in scenarios if path.suffix in REPLAYED]
+    if fmu is not None and not any(path.suffix == ".exp" for path in replays):
+        raise BristleError("--fmu goes with .exp files, of which none is given; leave it out")
     _refuse_duplicates(scenarios)
+    if replays:
+        if len(replays) < len(scenarios) or set_ or seed is not None:
+            raise BristleError("packages and experiments run as they are: without scenario files beside them, --set and --seed")
+        raise typer.Exit(max(_replayed(path, fmu, out, timeout, debug) for path in replays))
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), seed, full, timeout)
     with output_folder(out):
         checked = [_checked(path, out, options, debug) for path in scenarios]
@@ -62,19 +72,39 @@ def run(
         raise typer.Exit(worst)  # in the context, which removes a folder that stays empty
 
 
-def _replayed(path: Path, out: Path, timeout: float | None, debug: bool) -> int:
-    """Run a package, print its verdict or its error, and return the exit code."""
-    from bristle.harness.kit import replay
-
+def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, debug: bool) -> int:
+    """Run a package or experiments, print verdicts or the error, and return the exit code."""
     try:
-        with progress(path.stem) as tell:
-            done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
+        return _package(path, out, timeout) if path.suffix == ".ssp" else _experiments(path, fmu, out, timeout)
     except BristleError as error:
         complain(error, debug)
         return ERROR
+
+
+def _package(path: Path, out: Path, timeout: float | None) -> int:
+    from bristle.harness.kit import replay
+
+    with progress(path.stem) as tell:
+        done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
     held = sum(each.holds for each in done.agreement)
     what = f"{held} of {len(done.agreement)} signals agree with the reference" if done.compared else "holds no reference"
     print(f"{path.stem:<24} {'pass' if done.passed else 'fail'}  {done.folder / 'report.html'}  {done.failure or what}")
+    return PASS if done.passed else FAIL
+
+
+def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None) -> int:
+    from bristle.harness.experiment import repeat
+
+    if path.suffix == ".exp" and fmu is None:
+        raise BristleError(f"{path}: experiments do not say of which FMU they are; add --fmu FILE")
+    with progress(path.stem) as tell:
+        done = repeat(fmu or path, out, None if fmu is None else path, timeout, tell)
+    for each in done.experiments:
+        verdict = "pass" if each.passed else "fail"
+        print(f"{path.stem:<24} {verdict}  {done.folder / 'report.html'}  {each.experiment.name}: {each.summary}")
+    if done.changed:
+        names = ", ".join(done.changed[:3]) + (", ..." if len(done.changed) > 3 else "")
+        print(f"{path.stem:<24} fail  not as when it was made ({len(done.changed)} files): {names}")
     return PASS if done.passed else FAIL
 
 

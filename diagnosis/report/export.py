@@ -6,8 +6,11 @@ import math
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bristle.common.errors import BristleError, IncompleteError
 from bristle.common.output import check_no_folder, check_not_replaced, check_writable, replace_files, to_json
@@ -19,9 +22,13 @@ from bristle.diagnosis.report.html import render
 from bristle.diagnosis.report.result import EXPERIMENT_FILE, DesignedInput, Diagnosis, Estimate, UnnamedTorque
 from bristle.fmus.build import build, program_files
 from bristle.fmus.pack import write_archive
+from bristle.fmus.related import related_files
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.servo import ENCODER_COUNTS
 
+Related = Callable[[Mapping[str, bytes]], Mapping[str, bytes]]  # gives files to add to an FMU
+
+MOST_SAMPLES_INSIDE = 5000  # of a record, which an FMU holds as inputs of its experiment
 WRITTEN_FILES = ("diagnosis.json", "report.html", "augmented.toml", "augmented.fmu", "correction.fmu", EXPERIMENT_FILE)
 
 
@@ -155,9 +162,13 @@ def _package(diagnosis: Diagnosis, choose: str | None, fmi: int, made: Mapping[s
         package.notes.append(str(error))
         choose = None
     chosen = {} if choose is None else {"chosen": choose}  # what the augmented model has in place of what stands for it
-    package.content["diagnosis.json"] = to_json(diagnosis.to_dict() | chosen | {"provenance": made}).encode()
+    told = diagnosis.to_dict() | chosen
+    package.content["diagnosis.json"] = to_json(told | {"provenance": made}).encode()
     if augmented is not None:
-        _add_models(package, augmented, fmi)
+        report = {
+            "diagnosis.json": to_json({key: each for key, each in told.items() if key != "seconds"}).encode()
+        }  # each time alike
+        _add_models(package, augmented, fmi, partial(related_files, report=report, **_first_record(diagnosis)))
     if diagnosis.designed is not None and diagnosis.designed.written:
         package.content[EXPERIMENT_FILE] = _table(diagnosis.designed).encode()
         package.meaning[EXPERIMENT_FILE] = "input to play back in open loop: a record that tells apart what these do not"
@@ -181,18 +192,29 @@ def _table(designed: DesignedInput) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _add_models(package: _Package, augmented: Augmented, fmi: int) -> None:
+def _first_record(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return step and inputs of a short run of the FMUs: as in the first record, if it was simulated."""
+    if diagnosis.whole is None or not diagnosis.whole.traces:
+        return {}
+    trace = diagnosis.whole.traces[0]
+    time, u, y = (column[:MOST_SAMPLES_INSIDE] for column in (trace.time, trace.input, trace.measured))
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    moved = {"theta": y, "v": np.gradient(y, step)} if diagnosis.model.output_kind == "position" else {"v": y}
+    return {"step": step, "stimuli": {"u": u, **moved}}
+
+
+def _add_models(package: _Package, augmented: Augmented, fmi: int, related: Related) -> None:
     extra = f" with {', '.join(augmented.added)} added" if augmented.added else " refitted; no effect was added"
     package.add("augmented.toml", f"the model{extra}", lambda: model_text(augmented.model).encode())
     unit = augmented.model.input_unit.replace(".", "·")
     about = f"the plant{extra}, FMI {fmi}.0; what was identified are its start values; u is in {unit}"
-    package.add("augmented.fmu", about, lambda: _made(lambda out: _build_plant(augmented, out, fmi)))
+    package.add("augmented.fmu", about, lambda: _made(lambda out: _build_plant(augmented, out, fmi, related)))
     reasons = {name: refusal(name, augmented.effects, augmented.added) for name in augmented.added}
     possible = [name for name, reason in reasons.items() if reason is None]
     refused = [reason for reason in reasons.values() if reason is not None]
     if possible:
         about = _about_correction(possible, refused)
-        package.add("correction.fmu", about, lambda: _made(lambda out: _build_correction(possible, augmented, out, fmi)))
+        package.add("correction.fmu", about, lambda: _made(lambda out: _build_correction(possible, augmented, out, fmi, related)))
     elif refused:
         package.meaning["no correction.fmu"] = "; ".join(refused)
 
@@ -203,16 +225,17 @@ def _about_correction(possible: list[str], refused: list[str]) -> str:
     return f"{text}. Not in it: {'; '.join(refused)}" if refused else text
 
 
-def _build_plant(augmented: Augmented, out: Path, fmi: int) -> None:
+def _build_plant(augmented: Augmented, out: Path, fmi: int, related: Related) -> None:
     build(
         "plant", out, fmi=fmi, law=augmented.model.friction, effects=augmented.effects, parameters=augmented.parameters,
-        units=augmented.model.unit_in_fmu,
+        units=augmented.model.unit_in_fmu, related=related,
     )  # fmt: skip
 
 
-def _build_correction(names: list[str], augmented: Augmented, out: Path, fmi: int) -> None:
+def _build_correction(names: list[str], augmented: Augmented, out: Path, fmi: int, related: Related) -> None:
     program = correction_program(names, augmented.parameters).in_units(augmented.model.unit_in_fmu)
-    write_archive(out, program_files(program, fmi))
+    content = program_files(program, fmi)
+    write_archive(out, {**content, **related(content)})
 
 
 def _made(make: Callable[[Path], None]) -> bytes:

@@ -51,8 +51,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(diagnosis, "load_model", lambda path: f"model of {path.name}")
     monkeypatch.setattr(diagnosis, "fmu_model", lambda path: f"model in {path.name}")
     monkeypatch.setattr(diagnosis, "load_records", lambda model, paths: [model, *(path.name for path in paths)])
-    monkeypatch.setattr(export, "_build_plant", lambda augmented, out, fmi: out.write_bytes(b"plant"))
-    monkeypatch.setattr(export, "_build_correction", lambda names, augmented, out, fmi: out.write_bytes(b"correction"))
+    monkeypatch.setattr(export, "_build_plant", lambda augmented, out, fmi, related: out.write_bytes(b"plant"))
+    monkeypatch.setattr(export, "_build_correction", lambda names, augmented, out, fmi, related: out.write_bytes(b"correction"))
     return seen
 
 

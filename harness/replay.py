@@ -1,0 +1,92 @@
+"""A repeated run against the signals that came with it: how far each is from its reference, as table and page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bristle.common.html import badge, identifier, number, table
+from bristle.common.signals import EXACT_DIGITS, Array, table_text
+from bristle.harness.loop import Trace
+
+MOST_ROWS = 2001  # of a table of signals
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far a signal is from its reference: largest difference over its size, and when; None if the signal is missing."""
+
+    name: str
+    worst: float | None
+    time: float
+    limit: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is within the tolerance."""
+        return self.worst is not None and self.worst <= self.limit
+
+
+def agreement(
+    reference: tuple[Array, Mapping[str, Array]], time: Array, signals: Mapping[str, Array], limit: float, slack: int = 0
+) -> tuple[Agreement, ...]:
+    """Compare signals with a reference at its times.
+
+    Parameters
+    ----------
+    reference : (ndarray, shape (rows,); mapping of str to ndarray, shape (rows,))
+        Times [s] and signals.
+    time, signals : ndarray, shape (n,), and mapping of str to ndarray, shape (n,)
+        What is compared, at rising times.
+    limit : float
+        Largest difference allowed, over the range of a signal or its largest value.
+    slack : int
+        Rows that a signal may be early or late.
+    """
+    at, columns = reference
+    found = []
+    for name, expected in columns.items():
+        got = signals.get(name)
+        if got is None or at[-1] > time[-1] + 0.5 * (time[-1] - time[0]) / max(1, len(time) - 1):
+            found.append(Agreement(name, None, 0.0, limit))
+            continue
+        size = max(float(np.ptp(expected)), float(np.abs(expected).max()), np.finfo(float).tiny)
+        low, high = _range(at, time, got, slack)
+        distance = np.maximum(np.maximum(low - expected, expected - high), 0.0) / size
+        worst = int(np.argmax(np.where(np.isnan(distance), np.inf, distance)))
+        value = float(distance[worst])
+        found.append(Agreement(name, value if np.isfinite(value) else None, float(at[worst]), limit))
+    return tuple(found)
+
+
+def _range(at: Array, time: Array, got: Array, slack: int) -> tuple[Array, Array]:
+    """Return the least and the largest value of a signal around each time."""
+    here = np.interp(at, time, got)
+    rows = np.searchsorted(time, at)
+    near = [got[np.clip(rows + shift, 0, len(got) - 1)] for shift in range(-slack, slack + 1)] if slack else []
+    both = np.array([here, *near])
+    return both.min(axis=0), both.max(axis=0)
+
+
+def signals_text(trace: Trace, names: Sequence[str]) -> str:
+    """Return the signals of a run as a table, thinned to equal steps."""
+    stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
+    columns = dict(zip(names, trace.values.T, strict=True))
+    return table_text({name: values[::stride] for name, values in {"time": trace.time, **columns}.items()}, EXACT_DIGITS)
+
+
+def rows_of(found: Sequence[Agreement]) -> list[dict[str, Any]]:
+    """Return them as result.json has them."""
+    return [{"name": e.name, "worst": e.worst, "time_s": e.time, "limit": e.limit, "pass": e.holds} for e in found]
+
+
+def table_of(found: Sequence[Agreement]) -> str:
+    """Return them as a table of a page."""
+    cells = [
+        (identifier(e.name), number(e.worst, 2), number(e.time), badge("good", "agrees") if e.holds else badge("bad", "differs"))
+        for e in found
+    ]
+    return table(("signal", "difference", "s", ""), cells, (1, 2))
