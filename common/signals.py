@@ -13,14 +13,12 @@ from bristle.common.errors import BristleError
 
 Array = NDArray[np.float64]
 
-EXACT_DIGITS = 17  # of a number in a table, which then is the same double
 
-
-def table_text(columns: Mapping[str, Array], digits: int) -> str:
-    """Return columns of numbers as CSV with a head."""
+def table_text(columns: Mapping[str, Array], digits: int | None = None) -> str:
+    """Return columns of numbers as CSV with a head; without `digits`, with as many as give the same doubles."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(columns)
-    np.savetxt(out, np.column_stack(list(columns.values())), fmt=f"%.{digits}g", delimiter=",")
+    np.savetxt(out, np.column_stack(list(columns.values())), fmt="%s" if digits is None else f"%.{digits}g", delimiter=",")
     return out.getvalue()
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
 from bristle.common.parameter_set import Value, parameter_set
-from bristle.common.signals import EXACT_DIGITS, table_text
+from bristle.common.signals import table_text
 from bristle.common.xml import document
 from bristle.fmus.documentation import PAGE_STYLE
 from bristle.fmus.host import Fmu
@@ -140,7 +140,7 @@ def _experiment_files(experiment: Experiment) -> dict[str, bytes]:
     files = {f"{name}.exp": _experiment_document(experiment)}
     if experiment.stimuli:
         columns = {"time": step * np.arange(experiment.steps, dtype=np.float64), **experiment.stimuli}
-        files[f"{name}-stimuli.csv"] = table_text(columns, EXACT_DIGITS).encode()
+        files[f"{name}-stimuli.csv"] = table_text(columns).encode()
     return files | {f"{name}-reference.csv": table_text(experiment.reference, REFERENCE_DIGITS).encode()}
 
 

@@ -15,7 +15,7 @@ from bristle.common.errors import BristleError, suggest
 from bristle.common.html import badge, identifier, page
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
-from bristle.common.signals import EXACT_DIGITS, table_text
+from bristle.common.signals import table_text
 from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
 from bristle.fmus.related import Experiment, related_files
@@ -205,7 +205,7 @@ def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     if _tabulated(setup):
         time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
         columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
-        files[f"resources/{STIMULI}.csv"] = table_text({"time": time, **columns}, EXACT_DIGITS).encode()
+        files[f"resources/{STIMULI}.csv"] = table_text({"time": time, **columns}).encode()
     return files
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bristle.common.html import badge, identifier, number, table
-from bristle.common.signals import EXACT_DIGITS, Array, table_text
+from bristle.common.signals import Array, table_text
 from bristle.harness.loop import Trace
 
 MOST_ROWS = 2001  # of a table of signals
@@ -75,7 +75,7 @@ def signals_text(trace: Trace, names: Sequence[str]) -> str:
     """Return the signals of a run as a table, thinned to equal steps."""
     stride = max(1, -(-trace.steps // (MOST_ROWS - 1)))
     columns = dict(zip(names, trace.values.T, strict=True))
-    return table_text({name: values[::stride] for name, values in {"time": trace.time, **columns}.items()}, EXACT_DIGITS)
+    return table_text({name: values[::stride] for name, values in {"time": trace.time, **columns}.items()})
 
 
 def rows_of(found: Sequence[Agreement]) -> list[dict[str, Any]]:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from bristle.model.compiler import compile_shared
@@ -157,3 +163,19 @@ def no_leftovers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pa
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     yield folder
     assert os.listdir(folder) == []
+
+
+@pytest.fixture
+def rows_of() -> Callable[..., Any]:
+    """Return a function that runs another importer in a process of its own: its module, code that fills `rows`, names it uses."""
+
+    def run(importer: str, code: str, **names: object) -> Any:
+        if find_spec(importer) is None:
+            pytest.skip(f"{importer} is not installed (bristle[interop])")
+        head = "".join(f"{name} = {value!r}\n" for name, value in names.items()) + "rows = []\n"
+        tail = "\nimport json\nprint('ROWS', json.dumps(rows))\n"
+        done = subprocess.run([sys.executable, "-c", head + code + tail], capture_output=True, text=True, check=False, timeout=300)
+        [answer] = [line for line in done.stdout.splitlines() if line.startswith("ROWS")] or pytest.fail(done.stderr[-2000:])
+        return np.array(json.loads(answer.removeprefix("ROWS ")))
+
+    return run

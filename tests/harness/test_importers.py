@@ -1,10 +1,6 @@
 """The closed loop in other importers, FMU by FMU: unified and lean, FMI 2 and 3, with the digits of our loop."""
 
-import json
-import subprocess
-import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -78,9 +74,7 @@ def closed_loop(path, fmi, lean):
 
 @pytest.mark.parametrize("lean", [False, True], ids=["unified", "lean"])
 @pytest.mark.parametrize(("importer", "code", "fmi"), CASES, ids=[f"{name}-fmi{fmi}" for name, _, fmi in CASES])
-def test_another_importer_gives_our_digits(tmp_path, importer, code, fmi, lean):
-    if find_spec(importer) is None:
-        pytest.skip(f"{importer} is not installed (bristle[interop])")
+def test_another_importer_gives_our_digits(tmp_path, importer, code, fmi, lean, rows_of):
     bus, files = closed_loop(tmp_path / "loop.toml", fmi, lean)
     values = {}
     for each in bus.instances:
@@ -90,11 +84,8 @@ def test_another_importer_gives_our_digits(tmp_path, importer, code, fmi, lean):
             elif not lean:  # the enumeration by its place, which every importer can set
                 values[f"{each.name}.{name}_index"] = int(value)
     links = [(".".join(a), ".".join(b)) for a, b in bus.links]
-    head = f"FILES, LINKS, VALUES, STEPS, STRIDE, SEEN = {(files, links, values, STEPS, STRIDE, SEEN)!r}\nrows = []\n"
-    tail = "\nimport json\nprint('ROWS', json.dumps(rows))\n"
-    done = subprocess.run([sys.executable, "-c", head + code + tail], capture_output=True, text=True, check=False, timeout=60)
-    [answer] = [line for line in done.stdout.splitlines() if line.startswith("ROWS")] or pytest.fail(done.stderr[-2000:])
-    theirs, ours = np.array(json.loads(answer.removeprefix("ROWS "))), simulate(bus)
+    theirs = rows_of(importer, code, FILES=files, LINKS=links, VALUES=values, STEPS=STEPS, STRIDE=STRIDE, SEEN=SEEN)
+    ours = simulate(bus)
     for name, got in zip(SEEN, theirs.T, strict=True):
         expected = ours[tuple(name.split("."))]
         assert np.ptp(expected) > 0
