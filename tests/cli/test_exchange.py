@@ -44,7 +44,7 @@ def test_what_is_exported_passes_and_what_is_changed_fails(call, kit, tmp_path):
     coarse = bent(kit / "axis.ssp", tmp_path / "coarse.ssp", ".ssd", b'stepSize="0.001"', b'stepSize="0.002"')
     code, text, _ = call("run", coarse, "--out", tmp_path / "out")
     assert (code, " fail " in text) == (1, True)
-    other = bent(kit / "fmus" / "plant.fmu", tmp_path / "other.fmu", "validation-stimuli.csv", b"\n0.1,", b"\n0.1,1")
+    other = bent(kit / "fmus" / "plant.fmu", tmp_path / "other.fmu", "validation-stimuli.csv", b"\n0.1,", b"\n0.1,9\n0.1001,")
     code, text, _ = call("run", other, "--out", tmp_path / "out")
     assert (code, text.count(" pass "), text.count(" fail ")) == (1, 1, 2)
     assert "not as when it was made (1 files): extra/org.fmi-standard.fmi-ls-ref/validation-stimuli.csv" in text
