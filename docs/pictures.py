@@ -1,4 +1,7 @@
-"""Draw the two pictures of the README, a run and a diagnosis: python docs/pictures.py [run] [diagnosis]"""
+"""Draw the pictures of the README and of the page on exchange: python docs/pictures.py [run] [diagnosis] [exchange]
+
+The last one needs another importer: pip install 'bristle[interop]'.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,13 @@ import io
 import math
 import sys
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from PIL import Image
 
 import bristle
@@ -90,9 +96,70 @@ def diagnosis() -> None:
     write(figure, "diagnosis_hidden_07.png")
 
 
+BOXES = {"controller": (0.0, 0.55), "plant": (0.42, 0.55), "observer": (0.84, 0.05)}  # lower left corners in the picture
+BOX = (0.16, 0.36)
+ARROWS = (  # label and corners of each connection of `quick`
+    ("u", [(0.16, 0.73), (0.42, 0.73)]),
+    ("theta_enc, v_enc", [(0.58, 0.73), (0.92, 0.73), (0.92, 0.41)]),
+    ("u", [(0.27, 0.73), (0.27, 0.23), (0.84, 0.23)]),
+    ("v", [(0.66, 0.73), (0.66, 1.05), (-0.07, 1.05), (-0.07, 0.73), (0.0, 0.73)]),
+)
+
+
+def exchange() -> None:
+    """Draw what is in an exported scenario, and what another importer makes of it beside the reference that lies within."""
+    from ecospy import EcosSimulation
+
+    from bristle.harness.kit import export
+
+    with tempfile.TemporaryDirectory() as out:
+        package = export(ROOT / "scenarios" / "quick.toml", Path(out))
+        reference = np.genfromtxt(Path(out) / "reference" / "signals.csv", delimiter=",", names=True, deletechars="")
+        names = ("plant.theta", "observer.Fc_hat")
+        simulation = EcosSimulation(ssp_path=str(package), step_size=1e-3)
+        simulation.init()
+        theirs, stride = [], round((reference["time"][1] - reference["time"][0]) / 1e-3)
+        for _ in reference["time"][1:]:
+            simulation.step(stride)
+            theirs.append([simulation.get_real(name.replace(".", "::", 1)) for name in names])
+    figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+    top, below = figure.subfigures(2, 1, height_ratios=[1.0, 1.5])
+    _wiring(top.subplots())
+    panels = below.subplots(2, 2, sharex=True, height_ratios=[2, 1])
+    for column, name, unit, got in zip(panels.T, names, ("rad", "rad/s2"), np.array(theirs).T, strict=True):
+        time, expected = reference["time"], reference[name]
+        column[0].plot(time, expected, color=TRUE, lw=3, label="reference in the package")
+        column[0].plot(time[1:], got, color=AFTER, lw=1, label="Ecos")
+        column[1].plot(time[1:], got - expected[1:], color=BEFORE, lw=1)
+        column[0].set_title(f"{name} [{unit}]", fontsize=TEXT, loc="left")
+        column[1].set_title("Ecos less reference", fontsize=TEXT, loc="left")
+        column[1].set_xlabel("time [s]", fontsize=TEXT)
+        for axis in column:
+            axis.tick_params(labelsize=TICKS)
+            axis.spines[["top", "right"]].set_visible(False)
+    panels[0, 0].legend(fontsize=TEXT, frameon=False)
+    write(figure, "exchange.png")
+
+
+def _wiring(axis: Axes) -> None:
+    """Draw the connections of the package."""
+    axis.set(xlim=(-0.09, 1.02), ylim=(0.0, 1.12))
+    axis.axis("off")
+    for name, corner in BOXES.items():
+        axis.add_patch(Rectangle(corner, *BOX, facecolor="#eef3f6", edgecolor=AFTER))
+        axis.annotate(f"{name}.fmu", (corner[0] + BOX[0] / 2, corner[1] + BOX[1] / 2), ha="center", va="center", fontsize=TEXT)
+    for label, corners in ARROWS:
+        axis.plot(*np.array(corners[:-1]).T, color="#444444", lw=1.1)
+        axis.annotate(
+            "", corners[-1], corners[-2], arrowprops={"arrowstyle": "-|>", "color": "#444444", "shrinkA": 0, "shrinkB": 0}
+        )
+        (x, y), (x2, y2) = max(pairwise(corners), key=lambda pair: abs(pair[0][0] - pair[1][0]))
+        axis.annotate(label, ((x + x2) / 2, (y + y2) / 2), (0, 3), textcoords="offset points", ha="center", fontsize=TICKS)
+
+
 def main(names: list[str]) -> None:
-    """Draw the pictures that are named, or both."""
-    for draw in (run, diagnosis):
+    """Draw the pictures that are named, or all."""
+    for draw in (run, diagnosis, exchange):
         if not names or draw.__name__ in names:
             draw()
 

@@ -30,12 +30,26 @@ parameter sets.
 
 ## Steps
 
+Tried with these; they give the reference:
+
 - **bristle**: `bristle run {name}.ssp` runs it, compares it with the reference and says pass or fail.
+- **Ecos** (Python): `EcosSimulation(ssp_path="{name}.ssp", step_size={step:g})`.
+- **libcosim** (Python): `CosimExecution.from_ssp_file(ssp_path="{name}.ssp", step_size={round(step * 1e9)})`, in nanoseconds.
+
+Not tried; as their manuals say:
+
 - **OMSimulator**: `OMSimulator {name}.ssp`, or *File, Import, SSP* in OMEdit. The step stands in the package.
 - **OpenModelica**: OMEdit, *File, Open Model*, choose `{name}.ssp`, simulate.
 - **Dymola**: *File, Open, SSP*; or import the FMUs (*FMU, Import*, Co-Simulation) and connect them as in the table.
 - **Simulink**: one *FMU* block (Simulink Block Library) for each file, sample time {step:g}, connected as in the table, with a
   *Unit Delay* in each loop that Simulink reports as algebraic.
-- **FMPy**: `fmpy simulate fmus/plant.fmu --stop-time 1` runs one FMU alone; the loop is a few lines of Python (`fmpy.fmi2`).
-- **fmusim** (Reference FMUs): `fmusim --interface-type cs --stop-time 1 fmus/plant.fmu`, one FMU alone.
+
+One FMU alone: each holds inputs and reference of its part of this run in `extra/org.fmi-standard.fmi-ls-ref` (FMI-LS-REF).
+
+- **bristle**: `bristle run fmus/plant.fmu` repeats it and says pass or fail.
+- **FMPy** (tried): unpack the FMU, then
+  `fmpy simulate fmus/plant.fmu --stop-time 5 --output-interval {step:g} --input-file validation-stimuli.csv --output-file out.csv`,
+  and compare with `validation-reference.csv`.
+- **fmusim** (Reference FMUs; not tried):
+  `fmusim --interface-type cs --stop-time 5 --input-file validation-stimuli.csv fmus/plant.fmu`.
 """
