@@ -11,6 +11,7 @@ import hashlib
 import posixpath
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree as ET
@@ -308,7 +309,7 @@ def _page(fmu: Path, replayed: Replayed) -> str:
         body += f'<p class="alarm">Not as they were when the FMU was made: {names}.</p>'
     for each in replayed.experiments:
         badge_of = badge("good", "pass") if each.passed else badge("bad", "fail")
-        body += f"<h2>{identifier(each.experiment.name)} {badge_of}</h2><p>{each.summary}.</p>"
+        body += f"<h2>{identifier(each.experiment.name)} {badge_of}</h2><p>{escape(each.summary)}.</p>"
         if each.agreement:
             text = "Largest difference from the reference, over the size of the signal, and when."
             body += f"<p>{text}</p>" + table_of(each.agreement)

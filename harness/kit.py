@@ -6,6 +6,7 @@ import json
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +102,10 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
         system = _system(setup, bus)
         content = _content(setup, found)
         package = archive_bytes(package_files(system) | {f"resources/{name}": data for name, data in files.items()} | content)
-        written = {f"{setup.loaded.name}.ssp": package, "README.md": readme(system, setup.loaded.name, REPLAY_TOLERANCE).encode()}
+        written = {
+            f"{setup.loaded.name}.ssp": package,
+            "README.md": readme(system, setup.loaded.name, REPLAY_TOLERANCE, MOST_STEPS_INSIDE).encode(),
+        }
         written |= {f"fmus/{name}": data for name, data in files.items()}
         written |= {name.removeprefix("resources/"): data for name, data in content.items()}
         replace_files(out, written, list(written))
@@ -333,6 +337,6 @@ def _page(package: Package, found: Replayed) -> str:
     head = badge("good", "pass") if found.passed else badge("bad", "fail")
     text = "Largest difference from the reference, over the range of the signal, and when." if found.compared else \
         "The package holds no reference to compare with."  # fmt: skip
-    failure = f'<p class="alarm">{found.failure}</p>' if found.failure else ""
+    failure = f'<p class="alarm">{escape(found.failure)}</p>' if found.failure else ""
     body = f"<header><h1>Replay of {identifier(package.path.name)} {head}</h1></header>{failure}<p>{text}</p>"
     return page(f"replay of {package.path.name}", body + table_of(found.agreement))

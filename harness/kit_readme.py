@@ -5,12 +5,13 @@ from __future__ import annotations
 from bristle.harness.ssp import CSV_TYPE, SystemStructure
 
 
-def readme(system: SystemStructure, name: str, tolerance: float) -> str:
-    """Return the page."""
+def readme(system: SystemStructure, name: str, tolerance: float, steps: int) -> str:
+    """Return the page; `steps`: most of the run that an FMU holds."""
     parts = [each for each in system.components if each.type != CSV_TYPE]
     wiring = "\n".join(f"| {source}.{output} | {target}.{given} |" for (source, output), (target, given) in system.connections)
     listed = ", ".join(f"`fmus/{each.name}.fmu`" for each in parts)
     stop, step = system.stop or 0.0, system.step or 0.0
+    short = min(stop, steps * step)
     return f"""# {name}
 
 A co-simulation of {len(parts)} FMUs, as `{name}.ssp` (System Structure and Parameterization 1.0) and as files: {listed}.
@@ -30,7 +31,7 @@ parameter sets.
 
 ## Steps
 
-Tried with these; they give the reference:
+Tried with packages of this kind (Ecos and libcosim take no table of a noise):
 
 - **bristle**: `bristle run {name}.ssp` runs it, compares it with the reference and says pass or fail.
 - **Ecos** (Python): `EcosSimulation(ssp_path="{name}.ssp", step_size={step:g})`.
@@ -48,8 +49,9 @@ One FMU alone: each holds inputs and reference of its part of this run in `extra
 
 - **bristle**: `bristle run fmus/plant.fmu` repeats it and says pass or fail.
 - **FMPy** (tried): unpack the FMU, then
-  `fmpy simulate fmus/plant.fmu --stop-time 5 --output-interval {step:g} --input-file validation-stimuli.csv --output-file out.csv`,
+  `fmpy simulate fmus/plant.fmu --stop-time {short:g} --output-interval {step:g} --input-file validation-stimuli.csv
+  --output-file out.csv`,
   and compare with `validation-reference.csv`.
 - **fmusim** (Reference FMUs; not tried):
-  `fmusim --interface-type cs --stop-time 5 --input-file validation-stimuli.csv fmus/plant.fmu`.
+  `fmusim --interface-type cs --stop-time {short:g} --input-file validation-stimuli.csv fmus/plant.fmu`.
 """

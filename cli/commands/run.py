@@ -95,10 +95,14 @@ def _package(path: Path, out: Path, timeout: float | None) -> int:
 def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None) -> int:
     from bristle.harness.experiment import repeat
 
-    if path.suffix == ".exp" and fmu is None:
+    if path.suffix == ".fmu":
+        fmu, source = path, None
+    elif fmu is None:
         raise BristleError(f"{path}: experiments do not say of which FMU they are; add --fmu FILE")
+    else:
+        source = path
     with progress(path.stem) as tell:
-        done = repeat(fmu or path, out, None if fmu is None else path, timeout, tell)
+        done = repeat(fmu, out, source, timeout, tell)
     for each in done.experiments:
         verdict = "pass" if each.passed else "fail"
         print(f"{path.stem:<24} {verdict}  {done.folder / 'report.html'}  {each.experiment.name}: {each.summary}")

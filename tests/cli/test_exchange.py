@@ -56,6 +56,10 @@ def test_experiments_beside_an_fmu_run_with_it(call, kit, tmp_path):
     source = tmp_path / "extra" / "org.fmi-standard.fmi-ls-ref" / "smoke-test.exp"
     code, text, _ = call("run", source, "--fmu", kit / "fmus" / "plant.fmu", "--out", tmp_path / "out")
     assert (code, " pass " in text) == (0, True)
+    code, text, _ = call(
+        "run", source, kit / "fmus" / "observer.fmu", "--fmu", kit / "fmus" / "plant.fmu", "--out", tmp_path / "out"
+    )
+    assert (code, text.count(" pass "), text.count("42 of 42")) == (0, 3, 2)
     code, _, said = call("run", source, "--out", tmp_path / "out")
     assert (code, "add --fmu FILE" in said) == (2, True)
 
