@@ -34,8 +34,10 @@ def signals_of(content: bytes, name: str) -> tuple[Array, dict[str, Array]]:
         head, *rows = csv.reader(io.StringIO(content.decode("utf-8-sig")))
         table = np.array([[float(cell) for cell in row] for row in rows if row])
         values = dict(zip(head[1:], table.T[1:], strict=True))
-    except (ValueError, IndexError, csv.Error) as error:
-        raise BristleError(f"{name}: no table of numbers with a head and time first ({error})") from None
+    except (ValueError, IndexError, csv.Error):
+        raise BristleError(f"{name}: no table of numbers with a head of as many names, and time first") from None
+    if len(values) < len(head) - 1:
+        raise BristleError(f"{name}: two columns have one name")
     if not len(table) or not np.isfinite(table).all() or (np.diff(table[:, 0]) < 0).any():
         raise BristleError(f"{name}: its times must rise, and its values be finite")
     return table[:, 0], values

@@ -48,7 +48,7 @@ class Archive:
         try:
             yield
         except BristleError as error:
-            raise self.mistake(str(error)) from None
+            raise error if str(error).startswith(f"{self.path}: ") else self.mistake(str(error)) from None
 
     def read(self, name: str) -> bytes:
         """Return the content of one of its files."""

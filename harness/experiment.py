@@ -67,8 +67,15 @@ class Repeated:
 
     @property
     def passed(self) -> bool:
-        """Whether it ran to its end and every signal agrees."""
-        return self.trace.failure is None and all(each.holds for each in self.agreement)
+        """Whether it ran to its end and every signal agrees, of which there is one if there is a reference."""
+        if self.trace.failure is not None or (self.experiment.reference is not None and not self.agreement):
+            return False
+        return all(each.holds for each in self.agreement)
+
+    @property
+    def verdict(self) -> str:
+        """``pass``, ``fail``, or ``ran`` where there is no reference."""
+        return "fail" if not self.passed else "ran" if self.experiment.reference is None else "pass"
 
     @property
     def summary(self) -> str:
@@ -79,6 +86,8 @@ class Repeated:
             return "ran; there is no reference"
         held = sum(each.holds for each in self.agreement)
         rest = f", {len(self.not_compared)} not compared" if self.not_compared else ""
+        if not self.agreement:
+            return f"the reference holds nothing that a run gives{rest}"
         return f"{held} of {len(self.agreement)} signals agree with the reference{rest}"
 
 
@@ -157,6 +166,8 @@ def _beside(path: Path) -> Iterator[Experiment]:
 
     def read(name: str) -> bytes:
         try:
+            if name.startswith("../"):
+                raise BristleError(f"{path}: '{name}' lies elsewhere; only files beside it are read")
             return (path.parent / name).read_bytes()
         except OSError as error:
             raise BristleError(f"{path.parent / name}: {error.strerror}; check the path") from None
@@ -166,6 +177,8 @@ def _beside(path: Path) -> Iterator[Experiment]:
 
 def _resolved(base: str, source: str) -> str:
     """Return the name of a file from what another one calls it."""
+    if not source:
+        raise BristleError(f"{base}: the source of a file is missing")
     if urlsplit(source).scheme or source.startswith("/"):
         raise BristleError(f"{base}: '{source}' lies elsewhere; only files beside it are read")
     return posixpath.normpath(posixpath.join(posixpath.dirname(base), unquote(source)))
@@ -186,7 +199,7 @@ def _experiment(element: ET.Element, name: str, read: Read) -> Experiment:
     if about is None and kinds:
         raise BristleError(f"{name}: experiment '{element.get('name')}' is a {kinds[0]}; only TransientSimulation can be run")
     times = element if about is None else about  # older files have the times on the experiment itself
-    given = {key: finite_number(times.get(key)) for key in ("startTime", "stopTime", "stepSize") if times.get(key) is not None}
+    given = {key: _number(times, key, name) for key in ("startTime", "stopTime", "stepSize") if times.get(key) is not None}
     sources = {key: _resolved(name, element.find(key).get("source", ""))  # type: ignore[union-attr]  # found just before
                for key in ("Parameters", "Stimuli", "References") if element.find(key) is not None}  # fmt: skip
     values = {}
@@ -196,20 +209,36 @@ def _experiment(element: ET.Element, name: str, read: Read) -> Experiment:
     own = element.find(f"Annotations/Annotation[@type='{OWN_ANNOTATION}']/Comparison")
     return Experiment(
         element.get("name") or name, name, given.get("startTime"), given.get("stopTime"), given.get("stepSize"), values,
-        tables.get("Stimuli"), tables.get("References"), None if own is None else finite_number(own.get("tolerance")),
+        tables.get("Stimuli"), tables.get("References"), None if own is None else _number(own, "tolerance", name),
     )  # fmt: skip
+
+
+def _number(element: ET.Element, key: str, name: str) -> float:
+    """Return an attribute as a number: `tolerance` above 0."""
+    try:
+        value = finite_number(element.get(key))
+    except BristleError as error:
+        raise BristleError(f"{name}: {key}: {error}") from None
+    if key == "tolerance" and value <= 0:
+        raise BristleError(f"{name}: {key} = {value:g} must be above 0")
+    return value
 
 
 def _changed(archive: Archive) -> tuple[str, ...]:
-    """Return the files that are gone or do not have the checksum which the FMU holds of them."""
-    if f"{FOLDER}/{SUMS}" not in archive.names:
+    """Return the files that the manifest names and are gone, and those without the checksum which the FMU holds of them."""
+    if MANIFEST not in archive.names:
         return ()
-    lines = archive.read(f"{FOLDER}/{SUMS}").decode("utf-8", "replace").splitlines()
-    listed = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
-    return tuple(
+    with archive.named():
+        related = [_resolved(MANIFEST, each.get("source", "")) for each in archive.tree(MANIFEST).iter("Related")
+                   if not urlsplit(each.get("source", "")).scheme]  # fmt: skip
+    gone = [name for name in related if name not in archive.names]
+    sums = archive.read(f"{FOLDER}/{SUMS}").decode("utf-8", "replace") if f"{FOLDER}/{SUMS}" in archive.names else ""
+    listed = {name: digest for digest, _, name in (line.partition("  ") for line in sums.splitlines()) if name}
+    other = [
         name for name, digest in listed.items()
         if name not in archive.names or hashlib.sha256(archive.read(name)).hexdigest() != digest
-    )  # fmt: skip
+    ]  # fmt: skip
+    return tuple(dict.fromkeys([*gone, *other]))
 
 
 # -- running -------------------------------------------------------------------------------------------------------------
@@ -274,7 +303,7 @@ def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
         stop = float(reference[0][-1])
     if stop is None:
         raise BristleError(f"{experiment.source}: experiment '{experiment.name}' says no stopTime, and nor does the FMU")
-    step = step or (stop - start) / STEPS_BY_DEFAULT
+    step = (stop - start) / STEPS_BY_DEFAULT if step is None else step
     steps = round((stop - start) / step) if step > 0 else 0
     if not 1 <= steps <= LONGEST_REPLAY:
         raise BristleError(
@@ -288,7 +317,7 @@ def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
 def _files(fmu: Path, replayed: Replayed) -> dict[str, str | bytes]:
     rows = [
         {
-            "name": each.experiment.name, "verdict": "pass" if each.passed else "fail", "summary": each.summary,
+            "name": each.experiment.name, "verdict": each.verdict, "summary": each.summary,
             "signals": rows_of(each.agreement), "not_compared": list(each.not_compared),
         }
         for each in replayed.experiments
@@ -308,7 +337,7 @@ def _page(fmu: Path, replayed: Replayed) -> str:
         names = ", ".join(identifier(name) for name in replayed.changed)
         body += f'<p class="alarm">Not as they were when the FMU was made: {names}.</p>'
     for each in replayed.experiments:
-        badge_of = badge("good", "pass") if each.passed else badge("bad", "fail")
+        badge_of = badge("good" if each.passed else "bad", each.verdict)
         body += f"<h2>{identifier(each.experiment.name)} {badge_of}</h2><p>{escape(each.summary)}.</p>"
         if each.agreement:
             text = "Largest difference from the reference, over the size of the signal, and when."

@@ -42,6 +42,7 @@ from bristle.harness.ssp import (
 REFERENCE = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
 STIMULI = "stimuli"
+OWN_REFERENCES = (Path(REFERENCE).name, Path(VERDICT).name)
 MOST_STEPS_INSIDE, MOST_ROWS_INSIDE = 5000, 250  # of a run that an FMU holds: inputs at each step, outputs at some
 REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
 
@@ -57,8 +58,13 @@ class Replayed:
 
     @property
     def passed(self) -> bool:
-        """Whether it ran to its end and every signal agrees."""
-        return not self.failure and all(each.holds for each in self.agreement)
+        """Whether it ran to its end and every signal agrees, of which there is one if there is a reference."""
+        return not self.failure and bool(self.agreement or not self.compared) and all(each.holds for each in self.agreement)
+
+    @property
+    def verdict(self) -> str:
+        """``pass``, ``fail``, or ``ran`` where there is no reference."""
+        return "fail" if not self.passed else "pass" if self.compared else "ran"
 
 
 # -- export --------------------------------------------------------------------------------------------------------------
@@ -84,6 +90,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
     with output_folder(out):
         checked = check(path, out, options)
         setup = checked.setup
+        _refuse_other(out, setup.loaded.name)
         if setup.samples is not None:
             raise setup.loaded.error("record", None, "a measured record is no co-simulation; export a scenario with a [plant]")
         if setup.scenario.controller.compensation != "none":
@@ -110,6 +117,18 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
         written |= {name.removeprefix("resources/"): data for name, data in content.items()}
         replace_files(out, written, list(written))
     return out / f"{setup.loaded.name}.ssp"
+
+
+def _refuse_other(out: Path, name: str) -> None:
+    """Refuse a folder that holds anything but an earlier export of the same scenario, all files of which are replaced."""
+    inside = list(out.iterdir()) if out.is_dir() else []
+    kinds = {f"{name}.ssp": Path.is_file, "README.md": Path.is_file, "fmus": Path.is_dir, "reference": Path.is_dir}
+    known = {*kinds, f"{STIMULI}.csv"}
+    files = [each for folder in ("fmus", "reference") if (out / folder).is_dir() for each in (out / folder).iterdir()]
+    ours = all(each.name in known for each in inside) and all(right(out / each) for each, right in kinds.items())
+    ours = ours and all(each.is_file() and (each.suffix == ".fmu" or each.name in OWN_REFERENCES) for each in files)
+    if inside and not ours:
+        raise BristleError(f"{out}: holds other files than an export of '{name}'; choose an empty folder")
 
 
 def _own_fmu(setup: Setup, name: str, folder: Path, platforms: str) -> Path:
@@ -204,7 +223,11 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
 
 def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
-    about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates", "provenance")}
+    about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
+    made = {
+        key: each for key, each in found.result["provenance"].items() if key != "command"
+    }  # which names folders of this machine
+    about |= {"provenance": made}
     files = {REFERENCE: _signals(found.view.trace).encode(), VERDICT: to_json(about).encode()}
     if _tabulated(setup):
         time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
@@ -294,7 +317,10 @@ def _times(package: Package, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
     stop = package.system.stop if package.system.stop is not None else max(stops, default=None)
     if stop is None:
         raise package.mistake("says no stop time, and nor do its FMUs; add a DefaultExperiment with stopTime")
-    step = package.system.step or min(steps, default=(stop - package.system.start) / STEPS_BY_DEFAULT)
+    usual = min(steps, default=(stop - package.system.start) / STEPS_BY_DEFAULT)
+    step = usual if package.system.step is None else package.system.step
+    if step <= 0:
+        raise package.mistake(f"has steps of {step:g} s; they must be above 0")
     return step, stop
 
 
@@ -316,9 +342,8 @@ def _signals(trace: Trace) -> str:
 
 
 def _replay_files(package: Package, found: Replayed, trace: Trace) -> dict[str, str | bytes]:
-    verdict = "pass" if found.passed else "fail"
     recorded = _recorded(package)
-    tree = {"package": package.path.name, "verdict": verdict, "failure": found.failure, "signals": rows_of(found.agreement)}
+    tree = {"package": package.path.name, "verdict": found.verdict, "failure": found.failure, "signals": rows_of(found.agreement)}
     content = to_json({**tree, "recorded": recorded, "provenance": provenance()})
     return {"result.json": content, "signals.csv": _signals(trace), "report.html": _page(package, found)}
 
@@ -334,7 +359,7 @@ def _recorded(package: Package) -> Any:
 
 
 def _page(package: Package, found: Replayed) -> str:
-    head = badge("good", "pass") if found.passed else badge("bad", "fail")
+    head = badge("good" if found.passed else "bad", found.verdict)
     text = "Largest difference from the reference, over the range of the signal, and when." if found.compared else \
         "The package holds no reference to compare with."  # fmt: skip
     failure = f'<p class="alarm">{escape(found.failure)}</p>' if found.failure else ""

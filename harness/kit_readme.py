@@ -12,6 +12,14 @@ def readme(system: SystemStructure, name: str, tolerance: float, steps: int) -> 
     listed = ", ".join(f"`fmus/{each.name}.fmu`" for each in parts)
     stop, step = system.stop or 0.0, system.step or 0.0
     short = min(stop, steps * step)
+    tables = [each.source.rpartition("/")[2] for each in system.components if each.type == CSV_TYPE]
+    noise = "".join(f"- `{each}`: inputs with noise, a row a step. Ecos and libcosim take no such table.\n" for each in tables)
+    others = (
+        f'- **Ecos** (Python): `EcosSimulation(ssp_path="{name}.ssp", step_size={step:g})`.\n'
+        f'- **libcosim** (Python): `CosimExecution.from_ssp_file(ssp_path="{name}.ssp", step_size={round(step * 1e9)})`, in ns.\n'
+    )
+    tried = "" if tables else others
+    inside = "UNPACKED/extra/org.fmi-standard.fmi-ls-ref/validation-stimuli.csv"
     return f"""# {name}
 
 A co-simulation of {len(parts)} FMUs, as `{name}.ssp` (System Structure and Parameterization 1.0) and as files: {listed}.
@@ -23,20 +31,19 @@ parameter sets.
 - `reference/signals.csv`: what all outputs are, at equal steps in time. A tool with this scheme gives them to about {tolerance:g}
   of the range of each signal. Other schemes, such as one FMU after the other with values passed on within the step, shift
   signals by a step.
-- `reference/verdict.json`: the checks of the scenario with their values, and the estimates with true values and errors.
-
+- `reference/verdict.json`: the checks of the scenario with their values, and the estimates with true values and errors. What begins
+  with `validation.` is of a second run, which is not part of this.
+{noise}
 | output | input |
 |---|---|
 {wiring}
 
 ## Steps
 
-Tried with packages of this kind (Ecos and libcosim take no table of a noise):
+Tried with packages of this kind:
 
 - **bristle**: `bristle run {name}.ssp` runs it, compares it with the reference and says pass or fail.
-- **Ecos** (Python): `EcosSimulation(ssp_path="{name}.ssp", step_size={step:g})`.
-- **libcosim** (Python): `CosimExecution.from_ssp_file(ssp_path="{name}.ssp", step_size={round(step * 1e9)})`, in nanoseconds.
-
+{tried}
 Not tried; as their manuals say:
 
 - **OMSimulator**: `OMSimulator {name}.ssp`, or *File, Import, SSP* in OMEdit. The step stands in the package.
@@ -49,9 +56,8 @@ One FMU alone: each holds inputs and reference of its part of this run in `extra
 
 - **bristle**: `bristle run fmus/plant.fmu` repeats it and says pass or fail.
 - **FMPy** (tried): unpack the FMU, then
-  `fmpy simulate fmus/plant.fmu --stop-time {short:g} --output-interval {step:g} --input-file validation-stimuli.csv
-  --output-file out.csv`,
-  and compare with `validation-reference.csv`.
+  `fmpy simulate fmus/plant.fmu --stop-time {short:g} --output-interval {step:g} --input-file {inside} --output-file out.csv`
+  and compare with `validation-reference.csv` beside that file.
 - **fmusim** (Reference FMUs; not tried):
-  `fmusim --interface-type cs --stop-time {short:g} --input-file validation-stimuli.csv fmus/plant.fmu`.
+  `fmusim --interface-type cs --stop-time {short:g} --input-file {inside} fmus/plant.fmu`.
 """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ class Agreement:
     worst: float | None
     time: float
     limit: float
+    why: str = ""  # why there is no difference
 
     @property
     def holds(self) -> bool:
@@ -46,12 +48,15 @@ def agreement(
     slack : int
         Rows that a signal may be early or late.
     """
-    at, columns = reference
+    (at, columns), half = reference, 0.5 * (time[-1] - time[0]) / max(1, len(time) - 1)
+    outside = ""
+    if at[0] < time[0] - half or at[-1] > time[-1] + half:
+        outside = f"the reference is from {at[0]:g} to {at[-1]:g} s, the run from {time[0]:g} to {time[-1]:g} s"
     found = []
     for name, expected in columns.items():
         got = signals.get(name)
-        if got is None or at[-1] > time[-1] + 0.5 * (time[-1] - time[0]) / max(1, len(time) - 1):
-            found.append(Agreement(name, None, 0.0, limit))
+        if got is None or outside:
+            found.append(Agreement(name, None, 0.0, limit, outside or "no such output"))
             continue
         size = max(float(np.ptp(expected)), float(np.abs(expected).max()), np.finfo(float).tiny)
         low, high = _range(at, time, got, slack)
@@ -80,13 +85,18 @@ def signals_text(trace: Trace, names: Sequence[str]) -> str:
 
 def rows_of(found: Sequence[Agreement]) -> list[dict[str, Any]]:
     """Return them as result.json has them."""
-    return [{"name": e.name, "worst": e.worst, "time_s": e.time, "limit": e.limit, "pass": e.holds} for e in found]
+    return [{"name": e.name, "worst": e.worst, "time_s": e.time, "limit": e.limit, "pass": e.holds, "why": e.why} for e in found]
 
 
 def table_of(found: Sequence[Agreement]) -> str:
     """Return them as a table of a page."""
     cells = [
-        (identifier(e.name), number(e.worst, 2), number(e.time), badge("good", "agrees") if e.holds else badge("bad", "differs"))
+        (
+            identifier(e.name),
+            number(e.worst, 2),
+            number(e.time),
+            badge("good", "agrees") if e.holds else badge("bad", "differs") + escape(f" {e.why}"),
+        )
         for e in found
     ]
     return table(("signal", "difference", "s", ""), cells, (1, 2))

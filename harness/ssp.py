@@ -168,6 +168,10 @@ class Package(Archive):
 
     def _check_ends(self, components: Sequence[Component], connections: Sequence[tuple[Port, Port]]) -> None:
         known = {each.name for each in components}
+        targets = [target for _, target in connections]
+        for unit, name in targets:
+            if targets.count((unit, name)) > 1:
+                raise self.mistake(f"{unit}.{name} has two connections; an input takes one")
         if len(known) < len(components):
             raise self.mistake("two components have one name")
         for name, connector in (end for pair in connections for end in pair):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -46,5 +47,6 @@ def export(
     with progress(scenario.stem) as tell:
         tell("building FMUs and running them once", 0, 0)
         package = write(find_scenario(scenario), out, options, platforms)
-    print(f"{package}  for who receives it: {out / 'README.md'}")
+    verdict = json.loads((out / "reference" / "verdict.json").read_text(encoding="utf-8"))["verdict"]
+    print(f"{package}  verdict {verdict}; for who receives it: {out / 'README.md'}")
     return PASS

@@ -52,12 +52,12 @@ def run(
     timeout: TimeoutOption = None,
     debug: DebugOption = False,
 ) -> None:
-    """Run scenarios and write a result folder for each; none runs before all are checked."""
+    """Run scenarios and write a result folder for each; no scenario runs before all are checked."""
     from bristle.common.output import output_folder
     from bristle.harness.run import Options
 
-    replays = [path for path in scenarios if path.suffix in REPLAYED]
-    if fmu is not None and not any(path.suffix == ".exp" for path in replays):
+    replays = [path for path in scenarios if path.suffix.lower() in REPLAYED]
+    if fmu is not None and not any(path.suffix.lower() == ".exp" for path in replays):
         raise BristleError("--fmu goes with .exp files, of which none is given; leave it out")
     _refuse_duplicates(scenarios)
     if replays:
@@ -75,7 +75,7 @@ def run(
 def _replayed(path: Path, fmu: Path | None, out: Path, timeout: float | None, debug: bool) -> int:
     """Run a package or experiments, print verdicts or the error, and return the exit code."""
     try:
-        return _package(path, out, timeout) if path.suffix == ".ssp" else _experiments(path, fmu, out, timeout)
+        return _package(path, out, timeout) if path.suffix.lower() == ".ssp" else _experiments(path, fmu, out, timeout)
     except BristleError as error:
         complain(error, debug)
         return ERROR
@@ -88,14 +88,14 @@ def _package(path: Path, out: Path, timeout: float | None) -> int:
         done = replay(path, out, timeout, lambda step, of: tell("co-simulation", step, of))
     held = sum(each.holds for each in done.agreement)
     what = f"{held} of {len(done.agreement)} signals agree with the reference" if done.compared else "holds no reference"
-    print(f"{path.stem:<24} {'pass' if done.passed else 'fail'}  {done.folder / 'report.html'}  {done.failure or what}")
+    print(f"{path.stem:<24} {done.verdict}  {done.folder / 'report.html'}  {done.failure or what}")
     return PASS if done.passed else FAIL
 
 
 def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None) -> int:
     from bristle.harness.experiment import repeat
 
-    if path.suffix == ".fmu":
+    if path.suffix.lower() == ".fmu":
         fmu, source = path, None
     elif fmu is None:
         raise BristleError(f"{path}: experiments do not say of which FMU they are; add --fmu FILE")
@@ -104,11 +104,10 @@ def _experiments(path: Path, fmu: Path | None, out: Path, timeout: float | None)
     with progress(path.stem) as tell:
         done = repeat(fmu, out, source, timeout, tell)
     for each in done.experiments:
-        verdict = "pass" if each.passed else "fail"
-        print(f"{path.stem:<24} {verdict}  {done.folder / 'report.html'}  {each.experiment.name}: {each.summary}")
+        print(f"{path.stem:<24} {each.verdict:<4}  {done.folder / 'report.html'}  {each.experiment.name}: {each.summary}")
     if done.changed:
         names = ", ".join(done.changed[:3]) + (", ..." if len(done.changed) > 3 else "")
-        print(f"{path.stem:<24} fail  not as when it was made ({len(done.changed)} files): {names}")
+        print(f"{path.stem:<24} fail  not as when it was made: {names}")
     return PASS if done.passed else FAIL
 
 

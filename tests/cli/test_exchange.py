@@ -47,7 +47,7 @@ def test_what_is_exported_passes_and_what_is_changed_fails(call, kit, tmp_path):
     other = bent(kit / "fmus" / "plant.fmu", tmp_path / "other.fmu", "validation-stimuli.csv", b"\n0.1,", b"\n0.1,9\n0.1001,")
     code, text, _ = call("run", other, "--out", tmp_path / "out")
     assert (code, text.count(" pass "), text.count(" fail ")) == (1, 1, 2)
-    assert "not as when it was made (1 files): extra/org.fmi-standard.fmi-ls-ref/validation-stimuli.csv" in text
+    assert "not as when it was made: extra/org.fmi-standard.fmi-ls-ref/validation-stimuli.csv" in text
 
 
 def test_experiments_beside_an_fmu_run_with_it(call, kit, tmp_path):
@@ -82,6 +82,21 @@ def test_mistakes_are_one_line_and_exit_code_2(call, kit, tmp_path, monkeypatch,
     assert (code, len(said.strip().splitlines())) == (2, 1)
     assert message in said
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_other_files_is_left_as_it_is(call, kit, tmp_path):
+    code, _, _ = call("export", tmp_path / "axis.toml", "--out", kit)  # again
+    assert code == 0
+    (tmp_path / "other.toml").write_text(SCENARIO, encoding="utf-8")
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "README.md").write_text("mine", encoding="utf-8")
+    (tmp_path / "tree" / "axis.ssp" / "keep").mkdir(parents=True)
+    for name, out in (("other", kit), ("axis", tmp_path / "project"), ("axis", tmp_path / "tree")):
+        before = sorted(out.rglob("*"))
+        code, _, said = call("export", tmp_path / f"{name}.toml", "--out", out)
+        assert (code, "choose an empty folder" in said) == (2, True)
+        assert sorted(out.rglob("*")) == before
+    assert (tmp_path / "project" / "README.md").read_text(encoding="utf-8") == "mine"
 
 
 def test_what_cannot_be_exported_is_exit_code_2(call, tmp_path):

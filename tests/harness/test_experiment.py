@@ -63,6 +63,8 @@ def test_a_file_that_is_not_as_it_was_fails(made, tmp_path, ending):
     done = repeat(changed(made, tmp_path / "other.fmu", of(whole, lambda content: content + b"\n")), tmp_path / "out")
     assert (done.changed, done.passed) == ((whole,), False)
     assert all(each.passed for each in done.experiments)
+    unlisted = changed(made, tmp_path / "unlisted.fmu", lambda name, content: None if name.endswith(".sha256") else content)
+    assert repeat(unlisted, tmp_path / "out").changed == (FOLDER + "checksums.sha256",)
     gone = changed(made, tmp_path / "gone.fmu", lambda name, content: None if name.endswith("license.txt") else content)
     assert repeat(gone, tmp_path / "out").changed == ("documentation/licenses/license.txt",)
 
@@ -141,7 +143,8 @@ def test_a_signal_off_or_missing_fails_and_one_step_late_does_not(tiny_fmu, fore
     assert [each.worst for each in done.experiments[0].agreement][1] is None
     assert not done.passed
     longer = "\n".join(f"{t:.3f},0,0" for t in np.arange(0, 0.5, 0.01))
-    assert not repeat(tiny_fmu(), tmp_path / "out", foreign(rows=longer)).passed
+    done = repeat(tiny_fmu(), tmp_path / "out", foreign(rows=longer))
+    assert (done.passed, done.experiments[0].agreement[0].why.startswith("the reference is from 0 to 0.49 s")) == (False, True)
 
 
 def test_what_is_no_result_of_a_run_is_left_out_and_said(tiny_fmu, foreign, tmp_path):
@@ -149,6 +152,15 @@ def test_what_is_no_result_of_a_run_is_left_out_and_said(tiny_fmu, foreign, tmp_
     [one] = done.experiments
     assert one.not_compared == ("u",)
     assert "1 not compared" in one.summary
+
+
+def test_a_reference_without_anything_to_compare_fails(tiny_fmu, foreign, tmp_path):
+    for head, rows in (("time\n", "0\n1\n"), ("time,u\n", "0,0\n0.1,1\n")):
+        done = repeat(tiny_fmu(), tmp_path / "out", foreign(head=head, rows=rows))
+        assert (done.passed, done.experiments[0].verdict) == (False, "fail")
+    source = foreign()
+    source.write_text(source.read_text(encoding="utf-8").replace('<References source="ref.csv"/>', ""), encoding="utf-8")
+    assert repeat(tiny_fmu(), tmp_path / "out", source).experiments[0].verdict == "ran"
 
 
 @pytest.mark.parametrize(
@@ -159,7 +171,8 @@ def test_what_is_no_result_of_a_run_is_left_out_and_said(tiny_fmu, foreign, tmp_
         ({"new": '<TransientSimulation stopTime="1" stepSize="1e-9"/>'}, "steps"),
         ({"new": '<TransientSimulation stopTime="-1" stepSize="0.1"/>'}, "steps"),
         ({"rows": "0,nan,0"}, "finite"), ({"rows": "0,1"}, "no table"), ({"stimuli": "t,w\n0,0\n"}, "no Real or Boolean input 'w'"),
-        ({"stimuli": ""}, "no table"),
+        ({"stimuli": ""}, "no table"), ({"stimuli": "t,u,u\n0,0,1\n"}, "one name"),
+        ({"new": '<TransientSimulation stopTime="1" stepSize="0"/>'}, "steps"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_run_is_one_line(tiny_fmu, foreign, tmp_path, files, message):
@@ -176,9 +189,14 @@ def test_missing_files_and_experiments_are_one_line(tiny_fmu, foreign, made, tmp
     shutil.rmtree(source.parent / "sub")
     with pytest.raises(BristleError, match="check the path"):
         repeat(tiny_fmu(), tmp_path / "out", source)
+    outside = foreign()
+    outside.write_text(outside.read_text(encoding="utf-8").replace("sub/in.csv", "../in.csv"), encoding="utf-8")
+    with pytest.raises(BristleError, match="lies elsewhere"):
+        repeat(tiny_fmu(), tmp_path / "out", outside)
     for old, new, message in [
         (b'source="smoke-test.exp"', b'source="https://example.org/a.exp"', "lies elsewhere"),
         (b'source="smoke-test.exp"', b'source="none.exp"', "holds no file"),
+        (b'source="smoke-test.exp"', b"", "source of a file is missing"),
         (b"experiment/smoke-test", b"testcase", "names no experiment"),
     ]:
         bad = changed(made, tmp_path / "bad.fmu", of("manifest.xml", lambda content, old=old, new=new: content.replace(old, new)))
