@@ -36,7 +36,7 @@ def coupling(
     signal = "plant.v" if "plant.v" in errors else next(iter(errors))
     for each in found.schemes:
         error = each.errors[signal]
-        lag = "" if error.delay is None else f", {1e3 * error.delay:+.3f} ms late"
+        lag = "" if error.delay is None else f", {round(1e3 * error.delay, 3) + 0.0:+.3f} ms late"
         print(f"{each.name:<48} {signal}: {100 * error.relative:.3g} % off{lag}, {each.verdict}")
     print(out / "report.html")
     return PASS if {found.verdict, *(each.verdict for each in found.schemes)} == {"pass"} else FAIL
