@@ -148,7 +148,7 @@ def _key(kind: str, *arguments: object) -> str:
 
 
 def nothing(_content: Mapping[str, bytes]) -> Mapping[str, bytes]:
-    """Return no files to add: an FMU of the cache is run here and now."""
+    """Return no files to add: to an FMU that is run here and now, or gets them later."""
     return {}
 
 

@@ -6,7 +6,6 @@ in the plant's.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.signals import signals_of
 from bristle.fmus.build import FMU_NAMES, program_of
 from bristle.fmus.interface import Interface
 from bristle.model.native import Native
@@ -66,10 +66,8 @@ def reference_run(what: str) -> dict[str, Array]:
 
 def read_reference(what: str) -> dict[str, Array]:
     """Return the columns of an FMU's reference.csv."""
-    lines = (files("bristle.fmus") / what / "reference.csv").read_text(encoding="utf-8").splitlines()
-    header, *rows = csv.reader(lines)
-    table = np.array([[float(cell) for cell in row] for row in rows])
-    return dict(zip(header, table.T, strict=True))
+    time, columns = signals_of((files("bristle.fmus") / what / "reference.csv").read_bytes(), "reference.csv")
+    return {"time": time, **columns}
 
 
 def outside(reference: Mapping[str, Array], result: Mapping[str, Array]) -> dict[str, float]:

@@ -30,8 +30,17 @@ from bristle.harness import results
 from bristle.harness.archive import Archive, tree_of
 from bristle.harness.isolate import simulate_isolated
 from bristle.harness.loop import Bus, Instance, Port, Trace
-from bristle.harness.replay import Agreement, agreement, rows_of, signals_text, table_of
-from bristle.harness.ssp import LONGEST_REPLAY, STEPS_BY_DEFAULT
+from bristle.harness.replay import (
+    STEPS_BY_DEFAULT,
+    Agreement,
+    agreement,
+    held,
+    number_of_steps,
+    rows_of,
+    signals_text,
+    table_of,
+    verdict_of,
+)
 
 USUAL_TOLERANCE = 2e-3  # of the size of a signal, where an experiment says none (as csv-compare)
 USUAL_SLACK = 1  # rows that a signal may be early or late where an experiment says no tolerance
@@ -66,16 +75,14 @@ class Repeated:
     not_compared: tuple[str, ...] = ()  # signals of the reference that are no numbers, or nothing that a run gives
 
     @property
-    def passed(self) -> bool:
-        """Whether it ran to its end and every signal agrees, of which there is one if there is a reference."""
-        if self.trace.failure is not None or (self.experiment.reference is not None and not self.agreement):
-            return False
-        return all(each.holds for each in self.agreement)
+    def verdict(self) -> str:
+        """As of `verdict_of`."""
+        return verdict_of(self.trace.failure, self.experiment.reference is not None, self.agreement)
 
     @property
-    def verdict(self) -> str:
-        """``pass``, ``fail``, or ``ran`` where there is no reference."""
-        return "fail" if not self.passed else "ran" if self.experiment.reference is None else "pass"
+    def passed(self) -> bool:
+        """Whether nothing failed."""
+        return self.verdict != "fail"
 
     @property
     def summary(self) -> str:
@@ -276,18 +283,17 @@ def _bus(fmu: Fmu, experiment: Experiment) -> Bus:
         if not (fmu.has(name, "input") and fmu.variables[name].type in NUMBERS):
             known = suggest(name, fmu.names("input"))
             raise BristleError(f"{experiment.source}: the FMU {fmu.path} has no Real or Boolean input '{name}'{known}")
-        series[unit, name] = _held(fmu, name, time, values, np.asarray(start + step * np.arange(steps), dtype=np.float64), step)
+        series[unit, name] = _driven(fmu, name, time, values, np.asarray(start + step * np.arange(steps), dtype=np.float64), step)
     recorded = experiment.reference[1] if experiment.reference else fmu.names("output")
     record: tuple[Port, ...] = tuple((unit, name) for name in recorded if name in fmu.variables and _comparable(fmu, name))
     return Bus((Instance(unit, fmu, dict(experiment.values)),), steps, step, series=series, record=record, start=start)
 
 
-def _held(fmu: Fmu, name: str, time: Array, values: Array, at: Array, step: float) -> Array:
+def _driven(fmu: Fmu, name: str, time: Array, values: Array, at: Array, step: float) -> Array:
     """Return an input at the start of each step: between two rows a line, of a discrete input the row before."""
     if fmu.variables[name].variability == "continuous" and fmu.is_real(name):
         return np.asarray(np.interp(at, time, values))
-    rows = np.searchsorted(time, at + 1e-9 * step, side="right") - 1
-    return values[np.clip(rows, 0, None)]
+    return held(time, values, at, step)
 
 
 def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
@@ -304,13 +310,10 @@ def _times(fmu: Fmu, experiment: Experiment) -> tuple[float, float, int]:
     if stop is None:
         raise BristleError(f"{experiment.source}: experiment '{experiment.name}' says no stopTime, and nor does the FMU")
     step = (stop - start) / STEPS_BY_DEFAULT if step is None else step
-    steps = round((stop - start) / step) if step > 0 else 0
-    if not 1 <= steps <= LONGEST_REPLAY:
-        raise BristleError(
-            f"{experiment.source}: experiment '{experiment.name}' from {start:g} to {stop:g} s has {steps} steps of {step:g} s;"
-            f" allowed are 1 to {LONGEST_REPLAY}"
-        )
-    return start, step, steps
+    try:
+        return start, step, number_of_steps(start, stop, step)
+    except BristleError as error:
+        raise BristleError(f"{experiment.source}: experiment '{experiment.name}' {error}") from None
 
 
 # -- results -------------------------------------------------------------------------------------------------------------

@@ -26,18 +26,19 @@ from bristle.harness.isolate import simulate_isolated
 from bristle.harness.kit_readme import readme
 from bristle.harness.loop import Bus, Instance, Port, Trace
 from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
-from bristle.harness.replay import Agreement, agreement, rows_of, signals_text, table_of
-from bristle.harness.run import Options, Outcome, check, outcome
-from bristle.harness.ssp import (
-    CSV_TYPE,
-    FMU_TYPE,
-    LONGEST_REPLAY,
+from bristle.harness.replay import (
     STEPS_BY_DEFAULT,
-    Component,
-    Package,
-    SystemStructure,
-    package_files,
+    Agreement,
+    agreement,
+    held,
+    number_of_steps,
+    rows_of,
+    signals_text,
+    table_of,
+    verdict_of,
 )
+from bristle.harness.run import Options, Outcome, check, outcome
+from bristle.harness.ssp import CSV_TYPE, FMU_TYPE, Component, Package, SystemStructure, package_files
 
 REFERENCE = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
@@ -57,14 +58,14 @@ class Replayed:
     compared: bool = True
 
     @property
-    def passed(self) -> bool:
-        """Whether it ran to its end and every signal agrees, of which there is one if there is a reference."""
-        return not self.failure and bool(self.agreement or not self.compared) and all(each.holds for each in self.agreement)
+    def verdict(self) -> str:
+        """As of `verdict_of`."""
+        return verdict_of(self.failure, self.compared, self.agreement)
 
     @property
-    def verdict(self) -> str:
-        """``pass``, ``fail``, or ``ran`` where there is no reference."""
-        return "fail" if not self.passed else "pass" if self.compared else "ran"
+    def passed(self) -> bool:
+        """Whether nothing failed."""
+        return self.verdict != "fail"
 
 
 # -- export --------------------------------------------------------------------------------------------------------------
@@ -224,9 +225,8 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
 def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
-    made = {
-        key: each for key, each in found.result["provenance"].items() if key != "command"
-    }  # which names folders of this machine
+    # the command names folders of this machine
+    made = {key: each for key, each in found.result["provenance"].items() if key != "command"}
     about |= {"provenance": made}
     files = {REFERENCE: _signals(found.view.trace).encode(), VERDICT: to_json(about).encode()}
     if _tabulated(setup):
@@ -277,9 +277,9 @@ def _replay_bus(package: Package, folder: Path) -> Bus:
     if not fmus:
         raise package.mistake("has no FMU")
     step, stop = _times(package, fmus)
-    steps = round((stop - system.start) / step)
-    if not 1 <= steps <= LONGEST_REPLAY:
-        raise package.mistake(f"has {steps} steps of {step:g} s until {stop:g} s; allowed are 1 to {LONGEST_REPLAY}")
+    with package.named():
+        steps = number_of_steps(system.start, stop, step)
+    at = np.asarray(system.start + step * np.arange(steps), dtype=np.float64)
     links, series = [], {}
     tables = {each.name: package.columns(each.source) for each in system.components if each.type == CSV_TYPE}
     for source, target in system.connections:
@@ -288,8 +288,7 @@ def _replay_bus(package: Package, folder: Path) -> Bus:
             time, columns = tables[source[0]]
             if source[1] not in columns:
                 raise package.mistake(f"{source[0]} has no column '{source[1]}'{suggest(source[1], list(columns))}")
-            at = np.searchsorted(time, system.start + step * np.arange(steps) + 1e-9 * step, side="right") - 1
-            series[target] = columns[source[1]][np.clip(at, 0, None)]
+            series[target] = held(time, columns[source[1]], at, step)
         else:
             _check_port(package, fmus, source, "output")
             links.append((source, target))
@@ -319,8 +318,6 @@ def _times(package: Package, fmus: Mapping[str, Fmu]) -> tuple[float, float]:
         raise package.mistake("says no stop time, and nor do its FMUs; add a DefaultExperiment with stopTime")
     usual = min(steps, default=(stop - package.system.start) / STEPS_BY_DEFAULT)
     step = usual if package.system.step is None else package.system.step
-    if step <= 0:
-        raise package.mistake(f"has steps of {step:g} s; they must be above 0")
     return step, stop
 
 

@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from bristle.common.errors import BristleError
 from bristle.common.html import badge, identifier, number, table
 from bristle.common.signals import Array, table_text
 from bristle.harness.loop import Trace
 
 MOST_ROWS = 2001  # of a table of signals
+LONGEST_REPLAY = 10_000_000  # steps
+STEPS_BY_DEFAULT = 500  # of an experiment that says nothing about its step
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,29 @@ def _range(at: Array, time: Array, got: Array, slack: int) -> tuple[Array, Array
     near = [got[np.clip(rows + shift, 0, len(got) - 1)] for shift in range(-slack, slack + 1)] if slack else []
     both = np.array([here, *near])
     return both.min(axis=0), both.max(axis=0)
+
+
+def verdict_of(failure: object, compared: bool, found: Sequence[Agreement]) -> str:
+    """Return ``pass``, ``fail`` (also of a reference with nothing to compare), or ``ran`` where there is no reference."""
+    if failure or not all(each.holds for each in found) or (compared and not found):
+        return "fail"
+    return "pass" if compared else "ran"
+
+
+def number_of_steps(start: float, stop: float, step: float) -> int:
+    """Return how many steps of a length [s] there are from start to stop, or raise `BristleError`."""
+    steps = round((stop - start) / step) if step > 0 else 0
+    if not 1 <= steps <= LONGEST_REPLAY:
+        raise BristleError(
+            f"has {steps} steps of {step:g} s from {start:g} to {stop:g} s; allowed are 1 to {LONGEST_REPLAY}, longer than 0 s"
+        )
+    return steps
+
+
+def held(time: Array, values: Array, at: Array, step: float) -> Array:
+    """Return the last of the values, given at rising times, at each of the times `at`, which may be off by rounding."""
+    rows = np.searchsorted(time, at + 1e-9 * step, side="right") - 1
+    return values[np.clip(rows, 0, None)]
 
 
 def signals_text(trace: Trace, names: Sequence[str]) -> str:

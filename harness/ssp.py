@@ -23,8 +23,6 @@ SSD, SSC = (f"{SPACE}SystemStructure{part}" for part in ("Description", "Common"
 OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"  # of the annotation of OMSimulator
 FMU_TYPE, CSV_TYPE = "application/x-fmu-sharedlibrary", "text/csv"
 DESCRIPTION = "SystemStructure.ssd"
-STEPS_BY_DEFAULT = 500  # of an experiment that says nothing about its step
-LONGEST_REPLAY = 10_000_000  # steps
 
 
 @dataclass(frozen=True)
