@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -76,6 +77,20 @@ def case(tmp_path: Path) -> Path:
     path = tmp_path / "case.toml"
     path.write_text(SCENARIO, encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="session")
+def changed() -> Callable[..., Path]:
+    """Return what copies an archive, `change` (name, content) -> content or None (left out) applied to all its files."""
+
+    def copy(path: Path, target: Path, change: Callable[[str, bytes], bytes | None]) -> Path:
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(target, "w") as new:
+            for name in old.namelist():
+                if (content := change(name, old.read(name))) is not None:
+                    new.writestr(name, content)
+        return target
+
+    return copy
 
 
 @pytest.fixture

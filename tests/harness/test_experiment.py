@@ -19,14 +19,6 @@ def made(tmp_path_factory):
     return build("plant", tmp_path_factory.mktemp("made") / "plant.fmu", law="lugre")
 
 
-def changed(path, target, change):
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(target, "w") as new:
-        for name in old.namelist():
-            if (content := change(name, old.read(name))) is not None:
-                new.writestr(name, content)
-    return target
-
-
 def of(ending, change):
     return lambda name, content: change(content) if name.endswith(ending) else content
 
@@ -42,7 +34,7 @@ def test_an_fmu_is_tried_with_what_it_holds(made, tmp_path):
     assert (tmp_path / "plant" / "signals_1.csv").read_text(encoding="utf-8").startswith("time,theta,")
 
 
-def test_another_number_in_the_reference_fails(made, tmp_path):
+def test_another_number_in_the_reference_fails(made, tmp_path, changed):
     def bent(content):
         lines = content.decode().splitlines()
         cells = lines[50].split(",")
@@ -57,7 +49,7 @@ def test_another_number_in_the_reference_fails(made, tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["plant.c", "modelDescription.xml", "license.txt"])
-def test_a_file_that_is_not_as_it_was_fails(made, tmp_path, ending):
+def test_a_file_that_is_not_as_it_was_fails(made, tmp_path, ending, changed):
     with zipfile.ZipFile(made) as archive:
         [whole] = [name for name in archive.namelist() if name.endswith(ending)] or [archive.namelist()[-1]]
     done = repeat(changed(made, tmp_path / "other.fmu", of(whole, lambda content: content + b"\n")), tmp_path / "out")
@@ -182,7 +174,7 @@ def test_what_cannot_be_run_is_one_line(tiny_fmu, foreign, tmp_path, files, mess
     assert not (tmp_path / "out").exists()
 
 
-def test_missing_files_and_experiments_are_one_line(tiny_fmu, foreign, made, tmp_path):
+def test_missing_files_and_experiments_are_one_line(tiny_fmu, foreign, made, tmp_path, changed):
     with pytest.raises(BristleError, match="holds no experiments"):
         repeat(tiny_fmu(), tmp_path / "out")
     source = foreign()

@@ -52,16 +52,6 @@ def table(text):
     return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
 
 
-def changed(package, target, change):
-    """Write a copy of a package in which `change` (name, content) -> content or None changed some files."""
-    with zipfile.ZipFile(package) as old, zipfile.ZipFile(target, "w") as new:
-        for name in old.namelist():
-            content = change(name, old.read(name))
-            if content is not None:
-                new.writestr(name, content)
-    return target
-
-
 def test_what_is_exported_is_the_run_of_the_scenario(kit):
     reference = table((kit / "out" / "reference" / "signals.csv").read_text(encoding="utf-8"))
     done = run(kit / "axis.toml", kit / "run", Options(full=True))
@@ -102,7 +92,7 @@ def test_the_fmus_have_the_parameters_of_the_scenario_as_start_values(kit):
     assert (package.system.step, package.system.stop) == (1e-3, 2.0)
 
 
-def test_a_replay_agrees_to_the_last_digits_and_a_changed_package_does_not(kit):
+def test_a_replay_agrees_to_the_last_digits_and_a_changed_package_does_not(kit, changed):
     package = kit / "out" / "axis.ssp"
     done = replay(package, kit / "again")
     assert done.passed
@@ -129,7 +119,7 @@ def test_a_replay_agrees_to_the_last_digits_and_a_changed_package_does_not(kit):
     assert bad.time == pytest.approx(0.699)
 
 
-def test_each_fmu_can_be_tried_alone_with_its_part_of_the_run(kit):
+def test_each_fmu_can_be_tried_alone_with_its_part_of_the_run(kit, changed):
     for name in ("plant", "observer", "controller", "stimuli"):
         done = repeat(kit / "out" / "fmus" / f"{name}.fmu", kit / "alone")
         assert done.passed, name
@@ -171,7 +161,7 @@ def test_noise_is_exported_as_a_table(tmp_path):
         (b"SSP1/SystemStructureDescription", b"SSP9/SystemStructureDescription", "SSP 1.0"),
     ],
 )  # fmt: skip
-def test_a_package_that_cannot_be_run_is_one_line(kit, tmp_path, old, new, message):
+def test_a_package_that_cannot_be_run_is_one_line(kit, tmp_path, old, new, message, changed):
     def change(name, content):
         return content.replace(old, new) if name == "SystemStructure.ssd" else content
 
@@ -181,7 +171,7 @@ def test_a_package_that_cannot_be_run_is_one_line(kit, tmp_path, old, new, messa
     assert not (tmp_path / "out").exists()
 
 
-def test_a_damaged_reference_is_one_line(kit, tmp_path):
+def test_a_damaged_reference_is_one_line(kit, tmp_path, changed):
     for damaged, content in (("verdict.json", b'{"x": NaN'), ("signals.csv", b""), ("signals.csv", b"time,plant.v\n0,nan\n")):
 
         def change(name, old, damaged=damaged, content=content):
