@@ -7,15 +7,21 @@ import platform
 from collections.abc import Iterable
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 
+@cache
+def _version() -> str:
+    return version("bristle")  # read from a file
+
+
 def provenance() -> dict[str, Any]:
     """Return version of the library, date and time in UTC, and platform, for the key `provenance` of a result."""
     machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    return {"version": version("bristle"), "date": datetime.now(UTC).isoformat(timespec="seconds"), "platform": machine}
+    return {"version": _version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "platform": machine}
 
 
 def provenance_of(model: Path | None, records: Iterable[Path], command: str = "") -> dict[str, Any]:

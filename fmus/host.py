@@ -8,6 +8,7 @@ import hashlib
 import math
 import re
 import tempfile
+import threading
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -254,7 +255,23 @@ class Fmu:
             )
 
 
-_messages: collections.deque[str] = collections.deque(maxlen=20)
+class _Messages(threading.local):
+    """The last messages of the FMUs that run in a thread."""
+
+    def __init__(self) -> None:
+        self.kept: collections.deque[str] = collections.deque(maxlen=20)
+
+    def add(self, message: bytes) -> None:
+        """Keep one more."""
+        self.kept.append(message.decode("utf-8", "replace"))
+
+    def pop(self) -> str:
+        """Return and remove the last one in one line; nothing if there is none."""
+        return " ".join(self.kept.pop().split()) if self.kept else ""
+
+
+_messages = _Messages()
+_loading = threading.Lock()  # FMPy changes the working directory while it loads a library
 _callbacks: Any = None
 
 
@@ -266,7 +283,7 @@ def _callbacks2() -> Any:
 
         def log(_environment: object, _name: bytes, status: int, _category: bytes, message: bytes) -> None:
             if status > fmi2.fmi2OK and message:
-                _messages.append(message.decode("utf-8", "replace"))
+                _messages.add(message)
 
         made = fmi2.fmi2CallbackFunctions()
         made.logger = fmi2.fmi2CallbackLoggerTYPE(log)
@@ -282,7 +299,7 @@ def _callbacks2() -> Any:
 
 def _log3(_environment: object, status: int, _category: bytes, message: bytes) -> None:
     if status > 0 and message:
-        _messages.append(message.decode("utf-8", "replace"))
+        _messages.add(message)
 
 
 class Slave:
@@ -322,12 +339,14 @@ class Slave:
             Path(self._folder, "resources").mkdir(exist_ok=True)
             if self.fmu.fmi == 2:
                 WATCH.begin(self.fmu.path, Call.load)
-                self.instance = fmi2.FMU2Slave(**arguments)
+                with _loading:
+                    self.instance = fmi2.FMU2Slave(**arguments)
                 WATCH.begin(self.fmu.path, Call.instantiate)
                 self.instance.instantiate(callbacks=_callbacks2(), loggingOn=not self.fmu.foreign)
             else:
                 WATCH.begin(self.fmu.path, Call.load)
-                self.instance = fmi3.FMU3Slave(libraryPath=self._library(binaries), **arguments)
+                with _loading:
+                    self.instance = fmi3.FMU3Slave(libraryPath=self._library(binaries), **arguments)
                 WATCH.begin(self.fmu.path, Call.instantiate)
                 self.instance.instantiate(logMessage=_log3, loggingOn=not self.fmu.foreign)
         except BristleError:
@@ -343,12 +362,11 @@ class Slave:
     @staticmethod
     def _why(error: BaseException) -> str:
         """Return the last message of the FMU, else that of the exception, in one line."""
-        text = _messages.pop() if _messages else str(error) or type(error).__name__
-        return " ".join(text.split())
+        return _messages.pop() or " ".join((str(error) or type(error).__name__).split())
 
     def last_message(self) -> str:
         """Return and remove the last message that the FMU logged."""
-        return " ".join(_messages.pop().split()) if _messages else "no message"
+        return _messages.pop() or "no message"
 
     def close(self) -> None:
         """Free the instance and the library, remove the unpacked files."""
@@ -393,7 +411,7 @@ class Slave:
     def initialise(self, values: Mapping[str, Value], time: float = 0.0) -> None:
         """Set start values and go through initialisation at a start time [s]."""
         instance = self.instance
-        _messages.clear()
+        _messages.kept.clear()
         WATCH.begin(self.fmu.path, Call.initialise)
         try:
             for name, value in values.items():
@@ -409,6 +427,10 @@ class Slave:
             raise BristleError(
                 f"{self.name} ({self.fmu.path.name}): initialisation refused: {self._why(error)}; check its parameters"
             ) from None
+
+    def reset(self) -> None:
+        """Return it to the state in which it was loaded, before its start values were set."""
+        self.instance.reset()
 
     def address(self, function: str) -> int:
         """Return the address of one of its functions."""

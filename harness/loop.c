@@ -34,6 +34,7 @@ typedef struct {
 
 typedef struct { const double *from; double *to; double factor; long long unit; } Link; /* factor between units of measurement; unit: that of `to` */
 typedef struct { long long step; double *to; double value; } Event;
+typedef struct { const Unit *unit; unsigned vr; int boolean; double factor; } Flag; /* what is read only now and then */
 
 typedef struct {
     const Unit *units;
@@ -52,6 +53,15 @@ typedef struct {
     double h;                       /* time between two rows */
     double start;                   /* time of row 0 */
     long long failed_unit, failed_status, failed_call;
+    const Flag *flags;
+    double *looks;                  /* a row of flags each look, the first at the start */
+    long long *look_rows;           /* at which row of the record that was */
+    const long long *watched;       /* taps whose values must stay below `huge` */
+    double huge;
+    long long n_flags, n_watched, n_looks;
+    long long every, steps;         /* rows between two looks, and in all: the last look is at the last row */
+    long long seen;                 /* row up to which values were compared with `huge` */
+    long long diverged_row, diverged_tap;
 } Master;
 
 enum { OK = 0, WARNING = 1, ERROR = 3 }; /* of both FMI 2 and FMI 3 */
@@ -125,6 +135,14 @@ static void transfer(const Master *m, long long unit)
         if (unit == ALL || m->links[i].unit == unit) *m->links[i].to = *m->links[i].from * m->links[i].factor;
 }
 
+static int fail(Master *m, long long unit, long long call, int status)
+{
+    m->failed_unit = unit;
+    m->failed_status = status;
+    m->failed_call = call;
+    return status;
+}
+
 /* Set the inputs of all units, do a step, read the outputs; returns the status of the unit that failed, if one did. */
 static int step_all(Master *m, double time, double h)
 {
@@ -137,29 +155,61 @@ static int step_all(Master *m, double time, double h)
         int status = unit_set(u);
         if (status <= WARNING) call = 1, status = unit_step(u, time, h);
         if (status <= WARNING) call = 2, status = unit_get(u, u->out);
-        if (status > WARNING) {
-            m->failed_unit = i;
-            m->failed_status = status;
-            m->failed_call = call;
-            return status;
-        }
+        if (status > WARNING) return fail(m, i, call, status);
     }
     return OK;
 }
 
-/* Read all outputs and write row 0 of the record. */
+static int read_flag(const Flag *f, double *out)
+{
+    const Unit *u = f->unit;
+    int status;
+    if (f->boolean) {
+        bool three = false;
+        int two = 0;
+        status = u->fmi == 3 ? ((GetFlag3)u->get_flag)(u->instance, &f->vr, 1, &three, 1)
+                             : ((GetFlag2)u->get_flag)(u->instance, &f->vr, 1, &two);
+        *out = three || two;
+        return status;
+    }
+    status = u->fmi == 3 ? ((Get3)u->get)(u->instance, &f->vr, 1, out, 1) : ((Get2)u->get)(u->instance, &f->vr, 1, out);
+    *out *= f->factor;
+    return status;
+}
+
+static int look(Master *m, long long row)
+{
+    double *out = m->looks + m->n_looks * m->n_flags;
+    for (long long i = 0; i < m->n_flags; i++) {
+        const int status = read_flag(&m->flags[i], &out[i]);
+        if (status > WARNING) return fail(m, m->flags[i].unit - m->units, 2, status);
+    }
+    m->look_rows[m->n_looks++] = row;
+    return OK;
+}
+
+/* Whether a watched value of the rows that were not seen yet, up to `row`, is beyond all bounds. */
+static bool diverged(Master *m, long long row)
+{
+    for (; m->seen < row; m->seen++)
+        for (long long i = 0; i < m->n_watched; i++)
+            if (fabs(m->record[(m->seen + 1) * m->n_taps + m->watched[i]]) > m->huge) {
+                m->diverged_row = m->seen + 1;
+                m->diverged_tap = m->watched[i];
+                return true;
+            }
+    return false;
+}
+
+/* Read all outputs and flags and write row 0 of the record. */
 EXPORT int loop_start(Master *m)
 {
     for (long long i = 0; i < m->n_units; i++) {
         const int status = unit_get(&m->units[i], m->units[i].out);
-        if (status > WARNING) {
-            m->failed_unit = i;
-            m->failed_call = 2;
-            return m->failed_status = status, status;
-        }
+        if (status > WARNING) return fail(m, i, 2, status);
     }
     write_row(m, 0);
-    return OK;
+    return look(m, 0);
 }
 
 /* Rows first .. first + count - 1, each of `split` communication steps; returns how many were done. */
@@ -172,11 +222,16 @@ EXPORT long long loop_run(Master *m, long long first, long long count)
             *m->events[m->next_event].to = m->events[m->next_event].value;
         for (long long i = 0; i < m->n_series; i++) *m->series_to[i] = m->series[k * m->n_series + i];
         for (long long s = 0; s < m->split; s++) {
-            if (step_all(m, m->start + (double)(k * m->split + s) * h, h) > WARNING) return k - first;
+            if (step_all(m, m->start + (double)(k * m->split + s) * h, h) > WARNING) {
+                diverged(m, k);
+                return k - first;
+            }
             if (m->mean) add_means(m, k + 1);
         }
         write_row(m, k + 1);
         m->control[0] = k + 1;
+        if ((k + 1) % m->every == 0 || k + 1 == m->steps)
+            if (diverged(m, k + 1) || look(m, k + 1) > WARNING) return k + 1 - first;
     }
     return count;
 }

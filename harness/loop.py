@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
+from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,9 @@ Array = NDArray[np.float64]
 Port = tuple[str, str]  # (unit, variable)
 Progress = Callable[[int], None]
 
-CHUNK = 5_000  # steps between two looks at the keyboard and at the flags, at most
+CHUNK = 5_000  # steps between two looks at the flags, at most
 LOOKS = 200  # such looks in a run, at least
+SHORT_CALL = 0.02  # s; after a call of the compiled loop that takes less, the next does more before Python looks around
 STATUS = {2: "Discard", 3: "Error", 4: "Fatal", 5: "Pending"}  # of FMI; 0 and 1 are no failures
 CALLED = ("setting its inputs", "doStep", "reading its outputs")
 HUGE = 1e9  # an estimate beyond this has diverged
@@ -69,7 +71,7 @@ class Bus:
 
     @property
     def chunk(self) -> int:
-        """Steps between two looks at the keyboard and at the flags."""
+        """Steps between two looks at the flags."""
         return max(1, min(CHUNK, self.steps // LOOKS))
 
     @property
@@ -107,10 +109,15 @@ class Trace:
 
     def flag(self, port: Port) -> Array:
         """Return a flag for each row: what was read next, at that row or after it."""
-        out = np.full(len(self.values), self.flags[-1][1].get(port, np.nan))
-        for row, found in reversed(self.flags):
-            out[: row + 1] = found.get(port, np.nan)
-        return out
+        found = np.array([each.get(port, np.nan) for _, each in self.flags], dtype=float)
+        return np.repeat(found, self._looked)
+
+    @cached_property
+    def _looked(self) -> NDArray[np.int64]:
+        """Return how many rows each reading of the flags stands for."""
+        ends = np.minimum([row + 1 for row, _ in self.flags], len(self.values))
+        ends[-1] = len(self.values)
+        return np.diff(ends, prepend=0)
 
     def from_first_sample(self, factors: Mapping[Port, float]) -> Trace:
         """Return it as belongs to a record: row k is what was published after sample k, each column times its factor."""
@@ -149,6 +156,10 @@ class _Event(ctypes.Structure):
     _fields_ = [("step", ctypes.c_longlong), ("to", ctypes.c_void_p), ("value", ctypes.c_double)]
 
 
+class _Flag(ctypes.Structure):
+    _fields_ = [("unit", ctypes.c_void_p), ("vr", ctypes.c_uint), ("boolean", ctypes.c_int), ("factor", ctypes.c_double)]
+
+
 class _Master(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("units", "links", "events", "series_to", "series")),
@@ -157,6 +168,9 @@ class _Master(ctypes.Structure):
         ("split", ctypes.c_longlong), ("sequential", ctypes.c_longlong),
         ("h", ctypes.c_double), ("start", ctypes.c_double),
         *((name, ctypes.c_longlong) for name in ("failed_unit", "failed_status", "failed_call")),
+        *((name, ctypes.c_void_p) for name in ("flags", "looks", "look_rows", "watched")), ("huge", ctypes.c_double),
+        *((name, ctypes.c_longlong) for name in ("n_flags", "n_watched", "n_looks", "every", "steps", "seen")),
+        ("diverged_row", ctypes.c_longlong), ("diverged_tap", ctypes.c_longlong),
     ]  # fmt: skip
 
 
@@ -248,24 +262,64 @@ class Node:
         self.read()
 
 
-class Session:
-    """A bus with its FMUs loaded and initialised; a context manager."""
+class Slaves:
+    """FMUs that stay loaded from one run to the next, for one thread; a context manager that frees them.
 
-    def __init__(self, bus: Bus, control: NDArray[np.int64] | None = None) -> None:
-        self.bus, self._stack = bus, ExitStack()
+    One of ours is reset between two runs, which leaves nothing of the first; what comes from elsewhere, or fails, is loaded anew.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[str, Path], Slave] = {}
+
+    def take(self, instance: Instance) -> Slave:
+        """Return the loaded FMU of an instance, not initialised yet; it must not be in use."""
+        key = instance.name, instance.fmu.path
+        slave = self._kept.pop(key, None)
+        if slave is None:
+            slave = Slave(instance.fmu, instance.name)
+        else:
+            slave.reset()
+        return slave
+
+    def give_back(self, slave: Slave, sound: bool) -> None:
+        """Keep a loaded FMU for the next run, or free it."""
+        if sound and not slave.fmu.foreign and slave.fmu.kind == "native":
+            self._kept[slave.name, slave.fmu.path] = slave
+        else:
+            slave.close()
+
+    def close(self) -> None:
+        """Free all of them."""
+        while self._kept:
+            self._kept.popitem()[1].close()
+
+    def __enter__(self) -> Slaves:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Session:
+    """A bus with its FMUs loaded and initialised; a context manager. `slaves` keeps them loaded for the next session."""
+
+    def __init__(self, bus: Bus, control: NDArray[np.int64] | None = None, slaves: Slaves | None = None) -> None:
+        self.bus, self._slaves = bus, slaves or Slaves()
+        self._own, self._taken, self._sound = slaves is None, list[Slave](), False
         self.control = np.zeros(CONTROL_SIZE, dtype=np.int64) if control is None else control
         try:
             self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
             self.values = np.zeros((bus.steps + 1, len(bus.record)))
             self.averaged = np.array([name in self.nodes[unit].inputs for unit, name in bus.record], dtype=bool)
-            self.flags = [(0, self._read_flags())]
+            self.flags: list[tuple[int, dict[Port, float]]] = []
         except BaseException:
             self.close()
             raise
 
     def _node(self, instance: Instance) -> Node:
         bus, name = self.bus, instance.name
-        slave = self._stack.enter_context(Slave(instance.fmu, name))
+        slave = self._slaves.take(instance)
+        self._taken.append(slave)
         slave.initialise(instance.values, bus.start)
         driven = [*(to for _, to in bus.links), *(to for _, to, _ in bus.events), *bus.series]
         read = [*(source for source, _ in bus.links), *bus.record]
@@ -285,8 +339,11 @@ class Session:
         return self.nodes[port[0]].slave.fmu.factor(port[1])
 
     def close(self) -> None:
-        """Free all FMUs."""
-        self._stack.close()
+        """Free all FMUs, or give them back."""
+        while self._taken:
+            self._slaves.give_back(self._taken.pop(), self._sound)
+        if self._own:
+            self._slaves.close()
 
     def __enter__(self) -> Session:
         return self
@@ -297,7 +354,7 @@ class Session:
     # -- compiled ----------------------------------------------------------------------------------------------------
 
     def run(self, progress: Progress | None = None) -> Trace:
-        """Run all steps in the compiled loop, in chunks, so that Python can look after the user between them."""
+        """Run all steps in the compiled loop, in several calls, so that Python can look after the user between them."""
         bus, lib, names = self.bus, library(), list(self.nodes)
         units = (_Unit * len(names))(*(node.structure() for node in self.nodes.values()))
         links = (_Link * len(bus.links))(
@@ -313,29 +370,47 @@ class Session:
         factors = np.array([self._worth(port) for port in bus.record], dtype=float)
         averaged = self.averaged.astype(np.int64)
         means = _pointer(averaged) if averaged.any() else None
+        flags = (_Flag * len(bus.flags))(*(self._flag(port, units) for port in bus.flags))
+        looks = np.zeros((bus.steps // bus.chunk + 2, len(bus.flags)))
+        look_rows = np.zeros(len(looks), dtype=np.int64)
+        watched = np.array([i for i, (unit, _) in enumerate(bus.record) if unit in bus.watch], dtype=np.int64)
         master = _Master(
             ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
             _pointer(taps), _pointer(factors), means, _pointer(self.values), _pointer(self.control),
             0, len(units), len(links), len(events), len(series_to), len(taps),
             bus.split, bus.sequential, bus.h, bus.start, -1, 0, 0,
+            ctypes.addressof(flags), _pointer(looks), _pointer(look_rows), _pointer(watched), HUGE,
+            len(flags), len(watched), 0, bus.chunk, bus.steps, 0, -1, 0,
         )  # fmt: skip
         lib.loop_start(ctypes.byref(master))
-        done = 0
-        while done < bus.steps and master.failed_unit < 0 and not self.control[1]:
-            count = min(bus.chunk, bus.steps - done)
+        done, stride = 0, bus.chunk
+        while done < bus.steps and master.failed_unit < 0 and master.diverged_row < 0 and not self.control[1]:
+            count, begun = min(stride, bus.steps - done), perf_counter()
             self.control[2] = Call.step
-            new = lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
-            early = self._diverged(done + 1, done + new + 1)
-            if early is not None:
-                return self._trace(early.time - bus.start, early)
-            done += new
-            self._pause(done, progress, master.failed_unit < 0)
+            done += lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
+            if progress:
+                progress(done)
+            if perf_counter() - begun < SHORT_CALL:
+                stride *= 2
         self.control[2] = Call.none
+        self.flags = [
+            (row, dict(zip(bus.flags, found, strict=True)))
+            for row, found in zip(look_rows[: master.n_looks].tolist(), looks.tolist(), strict=False)
+        ]
+        if master.diverged_row >= 0:
+            early = self._beyond(master.diverged_row, master.diverged_tap)
+            return self._trace(early.time - bus.start, early)
         if master.failed_unit < 0:
             return self._trace(done * bus.h)
         status = STATUS.get(master.failed_status, str(master.failed_status))
         why = f"{CALLED[master.failed_call]} returned {status}"
         return self._trace(done * bus.h, self._blame(names[master.failed_unit], done * bus.h, why))
+
+    def _flag(self, port: Port, units: Any) -> _Flag:
+        """Return where a flag is read."""
+        unit, name = port
+        fmu, place = self.nodes[unit].slave.fmu, list(self.nodes).index(unit)
+        return _Flag(ctypes.addressof(units[place]), fmu.reference(name), not fmu.is_real(name), fmu.factor(name))
 
     # -- FMPy's calls ------------------------------------------------------------------------------------------------
 
@@ -347,6 +422,7 @@ class Session:
         for node in nodes.values():
             node.read()
         self._write_row(0, places)
+        self.flags = [(0, self._read_flags())]
         while k < bus.steps and not self.control[1]:
             while events and events[0][0] <= k:
                 _, (unit, name), value = events.pop(0)
@@ -420,8 +496,11 @@ class Session:
         rows = np.flatnonzero(beyond.any(axis=1))
         if not len(rows):
             return None
-        unit, name = self.bus.record[columns[int(np.argmax(beyond[rows[0]]))]]
-        return Failure(unit, float(self.bus.start + (first + rows[0]) * self.bus.h), f"|{name}| is beyond {HUGE:g}")
+        return self._beyond(first + int(rows[0]), columns[int(np.argmax(beyond[rows[0]]))])
+
+    def _beyond(self, row: int, column: int) -> Failure:
+        unit, name = self.bus.record[column]
+        return Failure(unit, float(self.bus.start + row * self.bus.h), f"|{name}| is beyond {HUGE:g}")
 
     def _pause(self, done: int, progress: Progress | None, healthy: bool) -> None:
         if healthy and self.bus.flags:
@@ -430,12 +509,17 @@ class Session:
             progress(done)
 
     def _trace(self, time: float, failure: Failure | None = None) -> Trace:
-        rows = round(time / self.bus.h) + 1
+        rows, self._sound = round(time / self.bus.h) + 1, failure is None
         return Trace(self.bus.record, self.values[:rows], self.bus.h, self.flags, failure, self.bus.start)
 
 
 def simulate(
-    bus: Bus, progress: Progress | None = None, *, engine: str | None = None, control: NDArray[np.int64] | None = None
+    bus: Bus,
+    progress: Progress | None = None,
+    *,
+    engine: str | None = None,
+    control: NDArray[np.int64] | None = None,
+    slaves: Slaves | None = None,
 ) -> Trace:
     """Run a bus in this process.
 
@@ -449,8 +533,10 @@ def simulate(
         ``native`` for the compiled loop, ``fmpy`` for FMPy's calls; by default compiled if there is a compiler.
     control : ndarray of int64, shape (CONTROL_SIZE,), optional
         Shared memory: [0] counts the steps done, [1] not 0 stops the run, [2] and [3] tell which call is under way.
+    slaves : Slaves, optional
+        Loaded FMUs, which are used again and stay loaded.
     """
-    with Session(bus, control) as session:
+    with Session(bus, control, slaves) as session:
         return session.run(progress) if (engine or default_engine()) == "native" else session.run_fmpy(progress)
 
 

@@ -26,7 +26,7 @@ from bristle.harness.isolate import run_bus
 from bristle.harness.loop import Bus, Trace
 from bristle.harness.plan import Kind, Setup, find_fmus, identification, prepare, uncompensated
 from bristle.harness.plan import validation as validation_bus
-from bristle.harness.scenario import load
+from bristle.harness.scenario import Loaded, load
 from bristle.harness.tracking import Tracking, tracking
 from bristle.harness.validation import (
     BASELINES,
@@ -40,6 +40,7 @@ from bristle.harness.validation import (
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
+Simulate = Callable[[Bus, Callable[[int], None] | None, float | None], Trace]  # as `run_bus`
 
 SECOND_RUNS = ("validation", "tracking")  # parts of result.json that take one
 LATE_FRICTION = 0.25  # share of the run, at its end, that the friction curve shows
@@ -96,6 +97,7 @@ class Checked:
     bus: Bus
     lean: Mapping[str, Fmu]
     clock: _Clock
+    simulate: Simulate = run_bus
 
 
 def check(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Checked:
@@ -112,13 +114,18 @@ def check(path: Path, out: Path, options: Options | None = None, progress: Progr
         results.refuse_strange(out / loaded.name)
         with clock.stage("FMUs (built only if new)"):
             tell("building FMUs", 0, 0)
-            setup = replace(prepare(loaded, find_fmus(loaded, options.fmi, options.kind)), timeout=options.timeout)
-            lean = {}
-            if setup.scenario.validation is not None:
-                lean = lean_fmus()
-                validation_bus(setup)
-            _check_quantities(setup)
-            return Checked(setup, out, options, identification(setup), lean, clock)
+            return check_loaded(loaded, find_fmus(loaded, options.fmi, options.kind), out, options, clock)
+
+
+def check_loaded(loaded: Loaded, fmus: dict[str, Fmu], out: Path, options: Options, clock: _Clock | None = None) -> Checked:
+    """Check a scenario against its FMUs; errors as of `check`."""
+    setup = replace(prepare(loaded, fmus), timeout=options.timeout)
+    lean = {}
+    if setup.scenario.validation is not None:
+        lean = lean_fmus()
+        validation_bus(setup)
+    _check_quantities(setup)
+    return Checked(setup, out, options, identification(setup), lean, clock or _Clock())
 
 
 def _check_quantities(setup: Setup) -> None:
@@ -165,19 +172,19 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     """Run a scenario that is checked, and judge it."""
     setup, clock, tell = checked.setup, checked.clock, progress or _no_progress
     with clock.stage("co-simulation"):
-        trace = run_bus(checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout)
+        trace = checked.simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout)
     with clock.stage("metrics"):
         view = View(setup, trace)
         result = _measure(setup, trace, view) | {"provenance": _provenance(checked)}
     validated = followed = None
     if setup.scenario.controller.compensation != "none" and trace.failure is None:
         with clock.stage("the same run without compensation"):
-            followed = tracking(trace, _second_run(setup, uncompensated(setup), "controller.compensation"))
+            followed = tracking(trace, _second_run(checked, uncompensated(setup), "controller.compensation"))
             result["tracking"] = followed.as_dict()
     if setup.scenario.validation is not None and trace.failure is None:
         with clock.stage("validation: second record and fits"):
             tell("validation and fits", 0, 0)
-            validated = _validate(setup, result, view, checked.lean)
+            validated = _validate(checked, result, view)
             result["validation"] = validated.as_dict(setup.scenario.validation.seed)
     findings = (*_trusted(setup), *(setup.samples.findings if setup.samples else ()), *_judge(result, setup))
     return Outcome(result, view, validated, findings, followed)
@@ -307,8 +314,9 @@ def _measure(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
     return result
 
 
-def _validate(setup: Setup, result: Mapping[str, Any], view: View, fmus: Mapping[str, Fmu]) -> Validation:
-    second = _second_run(setup, validation_bus(setup), "validation")
+def _validate(checked: Checked, result: Mapping[str, Any], view: View) -> Validation:
+    setup, fmus = checked.setup, checked.lean
+    second = _second_run(checked, validation_bus(setup), "validation")
     identified = identified_model(result["estimates"], given_parameters(setup, setup.values["observer"]), fmus)
     demand = setup.scenario.validation
     assert demand is not None
@@ -317,9 +325,10 @@ def _validate(setup: Setup, result: Mapping[str, Any], view: View, fmus: Mapping
     return validate(data, other, identified, fmus, demand.baselines)
 
 
-def _second_run(setup: Setup, bus: Bus, key: str) -> Trace:
+def _second_run(checked: Checked, bus: Bus, key: str) -> Trace:
     """Run a bus that must run to its end; `key` is what asks for it in the scenario file."""
-    second = run_bus(bus, timeout=setup.timeout)
+    setup = checked.setup
+    second = checked.simulate(bus, None, setup.timeout)
     if second.failure is not None:
         failure = second.failure
         what = f"the second run ended at {failure.time:g} s: {failure.unit}: {failure.message}"

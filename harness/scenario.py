@@ -303,6 +303,11 @@ def load(path: Path, overrides: Sequence[str] = (), seed: int | None = None) -> 
         One line that names file, key, value and what is allowed.
     """
     text, tree = read_toml(path, "scenario file")
+    return parse(path, text, tree, overrides, seed)
+
+
+def parse(path: Path, text: str, tree: dict[str, Any], overrides: Sequence[str] = (), seed: int | None = None) -> Loaded:
+    """Check a scenario file that has been read: its text, and its tree, which is changed; the rest as of `load`."""
     if "friction" in tree and "output" in tree:
         raise BristleError(f"{path}: is a model file, no scenario file; give it to bristle diagnose, with records")
     for part in PARAMETER_PARTS:

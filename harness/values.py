@@ -13,7 +13,7 @@ MOST_VALUES = 10_000
 SPECS = "a:b:n (n values from a to b), or a list [v1, v2]"
 
 
-def values_of(given: str) -> list[str]:
+def values_of(given: str, specs: str = SPECS) -> list[str]:
     """Return the overrides ``path=value`` that a `PATH=SPEC` stands for.
 
     Parameters
@@ -21,6 +21,8 @@ def values_of(given: str) -> list[str]:
     given : str
         The path of a scenario's key, and ``a:b:n`` for n values from a to b or a list ``[v1, v2]``; a and b may be followed by one
         unit, as in ``0.001:0.002:3 kg.m2``; in a list each value has its own, as in ``["1 ms", "2 ms"]`` or ``[1 ms, 2 ms]``.
+    specs : str
+        What an error says that a SPEC is.
 
     Raises
     ------
@@ -30,16 +32,16 @@ def values_of(given: str) -> list[str]:
     path, separator, spec = given.partition("=")
     path, spec = path.strip(), spec.strip()
     if not separator or not path or not spec:
-        raise BristleError(f"vary '{given}': not PATH=SPEC; a SPEC is {SPECS}")
+        raise BristleError(f"vary '{given}': not PATH=SPEC; a SPEC is {specs}")
     if spec.startswith("["):
         return [f"{path}={value}" for value in _listed(given, spec)]
     found = re.fullmatch(r"([^:\s]+):([^:\s]+):(\d+)(?:\s+(\S+))?", spec)
     if found is None:
-        raise BristleError(f"vary '{given}': '{spec}' is no SPEC; write {SPECS}")
+        raise BristleError(f"vary '{given}': '{spec}' is no SPEC; write {specs}")
     try:
         first, last, count = float(found[1]), float(found[2]), int(found[3])
     except ValueError:
-        raise BristleError(f"vary '{given}': '{found[1]}' or '{found[2]}' is no number; write {SPECS}") from None
+        raise BristleError(f"vary '{given}': '{found[1]}' or '{found[2]}' is no number; write {specs}") from None
     if not (np.isfinite(first) and np.isfinite(last) and 1 <= count <= MOST_VALUES):
         raise BristleError(f"vary '{given}': the ends must be finite, and n from 1 to {MOST_VALUES}")
     numbers = [f"{value:.12g}" for value in np.linspace(first, last, count)]

@@ -172,6 +172,9 @@ def rows_of() -> Callable[..., Any]:
     def run(importer: str, code: str, **names: object) -> Any:
         if find_spec(importer) is None:
             pytest.skip(f"{importer} is not installed (bristle[interop])")
+        loaded = subprocess.run([sys.executable, "-c", f"import {importer}"], capture_output=True, text=True, check=False)
+        if loaded.returncode:  # a library that it needs is not on this machine
+            pytest.skip(f"{importer} cannot be loaded: {loaded.stderr.strip().splitlines()[-1]}")
         head = "".join(f"{name} = {value!r}\n" for name, value in names.items()) + "rows = []\n"
         tail = "\nimport json\nprint('ROWS', json.dumps(rows))\n"
         done = subprocess.run([sys.executable, "-c", head + code + tail], capture_output=True, text=True, check=False, timeout=300)

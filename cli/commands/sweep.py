@@ -1,0 +1,95 @@
+"""`bristle sweep`: many runs of one scenario into a store."""
+
+from __future__ import annotations
+
+import os
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bristle.cli.app import (
+    ERROR,
+    FAIL,
+    PASS,
+    DebugOption,
+    Fmi,
+    FmiOption,
+    Kind,
+    KindOption,
+    ScenarioArgument,
+    SetOption,
+    TimeoutOption,
+    app,
+    path_of,
+)
+from bristle.cli.terminal import command_line, complain, fraction
+from bristle.common.errors import BristleError
+
+
+class Drawing(StrEnum):
+    """How values are drawn from distributions: Latin hypercube, Sobol' points, or independently."""
+
+    lhs = "lhs"
+    sobol = "sobol"
+    random = "random"
+
+
+@app.command(
+    short_help="Run a scenario with many values and seeds, into a store.",
+    epilog="Exit code 0: all runs pass; 1: a check does not hold in some; 2: a run could not be made, or none.",
+)
+def sweep(
+    scenario: ScenarioArgument,
+    out: Annotated[Path, typer.Option(help="folder of the store", metavar="STORE", parser=path_of)],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(help="values of a key: a:b:n, [v1, v2], or a distribution such as uniform(a, b)", metavar="PATH=SPEC"),
+    ] = None,
+    samples: Annotated[int | None, typer.Option(help="how many are drawn from the distributions", min=1, metavar="N")] = None,
+    sampling: Annotated[Drawing, typer.Option(help="how they are drawn")] = Drawing.lhs,
+    sampling_seed: Annotated[int, typer.Option(help="seed of the drawing", min=0, max=2**32 - 1, metavar="N")] = 0,
+    seeds: Annotated[str | None, typer.Option(help="seeds of the reference: 1-200 or 1,4,7-9", metavar="SEEDS")] = None,
+    set_: SetOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="make only the runs that the store does not have")] = False,
+    jobs: Annotated[int | None, typer.Option("--jobs", "-j", help="threads; else one a core", min=1, max=1024, metavar="N")] = None,
+    cluster: Annotated[str | None, typer.Option(help="scheduler of a Dask cluster", metavar="ADDRESS")] = None,
+    kind: KindOption = Kind.native,
+    fmi: FmiOption = Fmi.two,
+    timeout: TimeoutOption = None,
+    debug: DebugOption = False,
+) -> int:
+    """Run a scenario with all values and seeds; what comes of each run is a row of STORE."""
+    from bristle.common.output import output_folder
+    from bristle.harness.catalogue import find_scenario
+    from bristle.harness.design import design
+    from bristle.harness.run import Options
+    from bristle.harness.store import Store
+    from bristle.harness.sweep import Means, prepare_sweep, run_sweep
+    from bristle.harness.values import seeds_of
+
+    asked = design(vary or (), seeds_of(seeds) if seeds else (), samples, sampling.value, sampling_seed)
+    store = Store(out)
+    try:
+        options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
+        prepared = prepare_sweep(find_scenario(scenario), asked, options)
+    except BristleError as error:
+        for mistake in str(error).splitlines():
+            complain(BristleError(mistake), debug)
+        return ERROR
+    begun = time.monotonic()
+    with output_folder(out), fraction("sweep") as tell:
+
+        def show(done: int, total: int) -> None:
+            rate = done / max(1e-9, time.monotonic() - begun)
+            left = f", {(total - done) / rate:.0f} s left" if done and done < total else ""
+            tell(f"{done} of {total} runs, {rate:.1f} a second{left}", done / max(1, total))
+
+        means = Means(jobs or os.cpu_count() or 1, cluster, resume, command_line())
+        found = run_sweep(prepared, asked, store, means, show)
+    counts = ", ".join(f"{count} {word}" for word, count in found.verdicts.items() if count or word == "pass")
+    before = f", {found.kept} were there" if found.kept else ""
+    print(f"{found.runs} runs in {found.seconds:.1f} s: {counts}{before}  {out}", flush=True)
+    return ERROR if found.verdicts["error"] else FAIL if found.verdicts["fail"] else PASS

@@ -1,0 +1,237 @@
+"""The runs of a sweep: values of the keys that vary, listed, in a grid or drawn from distributions, each with every seed.
+
+Source: scipy.stats for the distributions; scipy.stats.qmc for the points in the unit cube.
+"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.common.errors import BristleError, suggest
+from bristle.common.units import parse_unit
+from bristle.harness.values import SPECS, values_of
+
+Sampling = Literal["lhs", "sobol", "random"]
+SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)  # Latin hypercube, Sobol' points (scrambled), independent points
+MOST_RUNS = 10_000_000
+DISTRIBUTION = re.compile(r"([A-Za-z_]\w*)\s*(\(.*\))(?:\s+(\S+))?", re.DOTALL)
+WRITTEN = f"{SPECS}, or a distribution such as uniform(a, b)"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A key of the scenario that varies: by its path, with values as overrides, or a distribution and the unit of its numbers."""
+
+    path: str
+    overrides: tuple[str, ...] = ()
+    distribution: Any = None
+    unit: str = ""
+
+    def drawn(self, share: float) -> str:
+        """Return the override whose value has this cumulative probability."""
+        number = f"{self.path}={float(self.distribution.ppf(share))!r}"
+        return f"{number} {self.unit}" if self.unit else number
+
+    @property
+    def numeric(self) -> bool:
+        """Whether its values are numbers of one dimension."""
+        return not self.overrides or len({_dimension(each) for each in self.overrides} | {None}) == 2
+
+    def value(self, override: str) -> float | str:
+        """Return the value of one of its overrides for a table: a number in SI units, or text."""
+        text = override.partition("=")[2].strip()
+        if not self.numeric:
+            return text
+        number, _, unit = text.partition(" ")
+        return float(number) * (parse_unit(unit).factor if unit else 1.0)
+
+    def ends(self) -> tuple[str, ...]:
+        """Return the overrides that are tried before anything runs: all that are listed, or far out and in the middle."""
+        return self.overrides or tuple(map(self.drawn, (0.001, 0.5, 0.999)))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One run of a sweep: its place, its seed if seeds are given, and what differs from the scenario's file."""
+
+    index: int
+    overrides: tuple[str, ...]
+    seed: int | None = None
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which runs a sweep has: a grid of all listed values, each of the drawn ones, and each seed; `asked` is how it was written."""
+
+    asked: tuple[str, ...] = ()
+    axes: tuple[Axis, ...] = ()
+    seeds: tuple[int, ...] = ()
+    samples: int = 0
+    sampling: Sampling = "lhs"
+    sampling_seed: int = 0
+
+    @property
+    def runs(self) -> int:
+        """How many runs that is."""
+        listed = math.prod(len(axis.overrides) for axis in self.axes if axis.overrides)
+        return listed * max(1, self.samples) * max(1, len(self.seeds))
+
+    def points(self) -> Iterator[Point]:
+        """Give the runs in their order: seeds change fastest, then the drawn values, then the last of the listed ones."""
+        shares = self._shares()
+        drawn = [axis for axis in self.axes if not axis.overrides]
+        listed = [axis.overrides for axis in self.axes if axis.overrides]
+        order = {axis.path: place for place, axis in enumerate(self.axes)}
+        count = itertools.count()
+        for chosen in itertools.product(*listed):
+            for row in shares:
+                values = [*chosen, *(axis.drawn(share) for axis, share in zip(drawn, row, strict=True))]
+                sorted_values = tuple(sorted(values, key=lambda value: order[value.partition("=")[0]]))
+                for seed in self.seeds or (None,):
+                    yield Point(next(count), sorted_values, seed)
+
+    def trials(self) -> Iterator[tuple[str, ...]]:
+        """Give the overrides that are checked before anything runs: each value of each axis, with the others at their first."""
+        first = [axis.ends()[0] for axis in self.axes]
+        yield tuple(first)
+        for place, axis in enumerate(self.axes):
+            for value in axis.ends()[1:]:
+                yield (*first[:place], value, *first[place + 1 :])
+
+    def _shares(self) -> NDArray[np.float64]:
+        """Return cumulative probabilities, shape (samples, drawn axes), in the open interval from 0 to 1."""
+        from scipy.stats import qmc
+
+        dimensions = sum(not axis.overrides for axis in self.axes)
+        if not dimensions:
+            return np.empty((1, 0))
+        if self.sampling == "random":
+            found = np.random.default_rng(self.sampling_seed).random((self.samples, dimensions))
+        else:
+            kind = qmc.LatinHypercube if self.sampling == "lhs" else qmc.Sobol
+            found = kind(dimensions, seed=self.sampling_seed).random(self.samples)
+        tiny = np.finfo(float).eps
+        return np.clip(found, tiny, 1 - tiny)
+
+
+def design(
+    vary: Sequence[str],
+    seeds: Sequence[int] = (),
+    samples: int | None = None,
+    sampling: Sampling = "lhs",
+    sampling_seed: int = 0,
+) -> Design:
+    """Read which runs are asked for.
+
+    Parameters
+    ----------
+    vary : sequence of str
+        Each ``PATH=SPEC``; a SPEC is ``a:b:n``, a list ``[v1, v2]``, or a distribution by its name in scipy.stats: its shape
+        parameters, then scale, or location and scale; ``uniform(a, b)`` lies between a and b. A unit may follow.
+    seeds : sequence of int
+        Seeds of the controller's reference; none: that of the file.
+    samples : int, optional
+        How many values are drawn from the distributions; required with them.
+    sampling : {"lhs", "sobol", "random"}
+        How they are drawn together.
+    sampling_seed : int
+        Seed of that.
+
+    Raises
+    ------
+    BristleError
+        If that is no design, or has more than `MOST_RUNS` runs.
+    """
+    axes = tuple(map(axis_of, vary))
+    paths = [axis.path for axis in axes]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise BristleError(f"vary '{path}': given twice; put all its values into one SPEC")
+    drawn = [axis.path for axis in axes if not axis.overrides]
+    if drawn and samples is None:
+        raise BristleError(f"vary '{drawn[0]}': a distribution; say with --samples N how many values are drawn")
+    if samples is not None and not drawn:
+        raise BristleError(f"samples {samples}: no distribution to draw from; leave it out, or vary by one such as uniform(a, b)")
+    if samples is not None and sampling == "sobol" and samples & (samples - 1):
+        near = 1 << samples.bit_length()
+        raise BristleError(f"samples {samples}: Sobol' points come in powers of two; write {near // 2} or {near}")
+    found = Design(tuple(vary), axes, tuple(seeds), samples or 0, sampling, sampling_seed)
+    if found.runs > MOST_RUNS:
+        raise BristleError(f"vary: {found.runs} runs; at most {MOST_RUNS} go into one sweep: take fewer values")
+    return found
+
+
+def _dimension(override: str) -> tuple[int, ...] | None:
+    """Return the exponents of the unit of an override, None if it is no number with a unit."""
+    number, _, unit = override.partition("=")[2].strip().partition(" ")
+    try:
+        float(number)
+        return parse_unit(unit or "1").exponents
+    except ValueError:  # of either
+        return None
+
+
+def axis_of(given: str) -> Axis:
+    """Return the axis that a ``PATH=SPEC`` stands for."""
+    path, separator, spec = (part.strip() for part in given.partition("="))
+    found = DISTRIBUTION.fullmatch(spec)
+    if not separator or not path or found is None:
+        overrides = tuple(values_of(given, WRITTEN))
+        return Axis(overrides[0].partition("=")[0], overrides)
+    return Axis(path, (), _distribution(given, found[1], found[2]), found[3] or "")
+
+
+def _distribution(given: str, name: str, arguments: str) -> Any:
+    """Return a distribution of scipy.stats with fixed parameters."""
+    from scipy import stats
+
+    known = getattr(stats, name, None)
+    if not isinstance(known, stats.rv_continuous | stats.rv_discrete):
+        names = sorted(each for each in dir(stats) if isinstance(getattr(stats, each), stats.rv_continuous | stats.rv_discrete))
+        raise BristleError(f"vary '{given}': scipy.stats has no distribution '{name}'{suggest(name, names)}")
+    positional, named = _arguments(given, name, arguments)
+    shapes = [] if known.shapes is None else [each.strip() for each in known.shapes.split(",")]
+    more = len(positional) - len(shapes)
+    rest = {0: (), 1: ("scale",), 2: ("loc", "scale")}.get(more, ())
+    if isinstance(known, stats.rv_discrete):
+        rest = {1: ("loc",)}.get(more, ())
+    if name == "uniform" and more == 2:
+        positional = [positional[0], positional[1] - positional[0]]  # its ends, which is how people write it
+    allowed = [*shapes, "loc", *(["scale"] if isinstance(known, stats.rv_continuous) else [])]
+    order = f"{name}({', '.join(shapes + list(rest)) or ', '.join(allowed)})"
+    if more > len(rest) or set(named) - set(allowed):
+        raise BristleError(f"vary '{given}': its parameters are {', '.join(allowed)}; write for example {order}")
+    values = dict(zip([*shapes, *rest], positional, strict=False)) | named
+    missing = [shape for shape in shapes if shape not in values]
+    if missing:
+        raise BristleError(f"vary '{given}': parameter {missing[0]} of {name} is missing; write {order}")
+    with np.errstate(all="ignore"):
+        frozen = known(**values)
+        middle = frozen.ppf(0.5)
+    if not np.isfinite(middle):
+        raise BristleError(f"vary '{given}': scipy.stats.{name} has no values for these parameters; see its documentation")
+    return frozen
+
+
+def _arguments(given: str, name: str, arguments: str) -> tuple[list[float], dict[str, float]]:
+    """Return the numbers in brackets, those with names apart."""
+    try:
+        call = ast.parse(f"f{arguments}", mode="eval").body
+        if not isinstance(call, ast.Call):
+            raise ValueError
+        positional = [float(ast.literal_eval(each)) for each in call.args]
+        named = {str(each.arg): float(ast.literal_eval(each.value)) for each in call.keywords}
+    except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
+        raise BristleError(f"vary '{given}': its parameters must be plain numbers; write for example {name}(1.0, 2.0)") from None
+    if not all(map(math.isfinite, [*positional, *named.values()])):
+        raise BristleError(f"vary '{given}': its parameters must be finite")
+    return positional, named

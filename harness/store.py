@@ -1,0 +1,186 @@
+"""The store of a sweep: a folder of Parquet files, one a chunk of runs, each written whole or not at all.
+
+    STORE/sweeps/<hash>.json    what was asked for: scenario, values that vary, seeds, FMUs, provenance
+    STORE/runs/<hash>.parquet   one row a run; the hash is that of the keys of its runs
+
+The key of a run is the hash of all that decides its result: scenario, FMUs, options, version, values and seed. Files are only ever
+added, so several sweeps may write into one store at once; of a run that is there several times, one that is no error counts.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.dataset
+import pyarrow.parquet as pq
+
+from bristle.common.cache import digest
+from bristle.common.errors import BristleError
+from bristle.common.output import replace_file, to_json
+
+SWEEPS, RUNS = "sweeps", "runs"  # folders of a store
+MAKING_CHUNK = ".making-"  # how folders begin in which a file is written
+ERROR_VERDICT = "error"
+ROW_NUMBER = "row_number() OVER (PARTITION BY key ORDER BY verdict = 'error')"
+
+
+class Store:
+    """A folder of sweeps.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+
+    Raises
+    ------
+    BristleError
+        If it exists and is no store.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()  # the working directory changes while FMUs are loaded
+        if path.exists() and not path.is_dir():
+            raise BristleError(f"{path}: is a file; give a folder for the store")
+        if path.is_dir() and any(path.iterdir()) and not (path / SWEEPS).is_dir():
+            raise BristleError(f"{path}: is no store of bristle sweep, and not empty; give another folder")
+
+    def require(self) -> None:
+        """Raise `BristleError` if it holds no run."""
+        if not self.files():
+            raise BristleError(f"{self.path}: no store, or one without runs; make one with bristle sweep SCENARIO --out FOLDER")
+
+    def files(self) -> list[Path]:
+        """Return the files of runs."""
+        return sorted((self.path / RUNS).glob("*.parquet"))
+
+    def sweeps(self) -> list[dict[str, Any]]:
+        """Return what was asked for, sweep by sweep in the order of their dates."""
+        found = [json.loads(path.read_text(encoding="utf-8")) for path in (self.path / SWEEPS).glob("*.json")]
+        return sorted(found, key=lambda each: str(each["provenance"]["date"]))
+
+    def describe(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write what is asked for, and make the folders."""
+        try:
+            for folder in (SWEEPS, RUNS):
+                (self.path / folder).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise self._full(error) from None
+        replace_file(self.path / SWEEPS / f"{name}.json", to_json(content).encode())
+
+    def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Write the runs of a chunk as one file, through to the disk."""
+        if not rows:
+            return
+        name = f"{digest(*(row['key'] for row in rows))[:24]}.parquet"
+        try:
+            with tempfile.TemporaryDirectory(dir=self.path / RUNS, prefix=MAKING_CHUNK, ignore_cleanup_errors=True) as folder:
+                with (Path(folder) / name).open("wb") as file:
+                    pq.write_table(table_of(rows), file, compression="zstd", write_page_checksum=True)
+                    file.flush()
+                    os.fsync(file.fileno())
+                os.replace(Path(folder) / name, self.path / RUNS / name)
+        except OSError as error:
+            raise self._full(error) from None
+
+    def _full(self, error: OSError) -> BristleError:
+        return BristleError(
+            f"store {self.path}: {error.strerror or error}; make room, then go on with --resume (finished chunks are kept)"
+        )
+
+    def done(self) -> set[str]:
+        """Return the keys of the runs that have a verdict; a file that is damaged is removed, and its runs count as not done."""
+        keys: set[str] = set()
+        for path in self.files():
+            try:
+                found = pq.read_table(path, columns=["key", "verdict"], page_checksum_verification=True)
+                pq.read_table(path, page_checksum_verification=True)
+            except (OSError, pa.ArrowException):
+                path.unlink(missing_ok=True)
+                continue
+            verdicts = found["verdict"].to_pylist()
+            keys.update(key for key, verdict in zip(found["key"].to_pylist(), verdicts, strict=True) if verdict != ERROR_VERDICT)
+        return keys
+
+    def dataset(self) -> pyarrow.dataset.Dataset:
+        """Return all files as one, with all their columns."""
+        self.require()
+        try:
+            schemas = [pq.read_schema(path) for path in self.files()]
+            schema = pa.unify_schemas(schemas, promote_options="permissive")
+            return pyarrow.dataset.dataset([str(path) for path in self.files()], schema=schema, format="parquet")
+        except (OSError, pa.ArrowException) as error:
+            raise BristleError(f"store {self.path}: {_line(error)}; run the sweep again with --resume, which repairs it") from None
+
+    def table(self) -> pa.Table:
+        """Return the runs, each once, in the order of their places in their sweeps."""
+        try:
+            found = self.dataset().to_table()
+        except (OSError, pa.ArrowException) as error:
+            raise BristleError(f"store {self.path}: {_line(error)}; run the sweep again with --resume, which repairs it") from None
+        errors = [verdict == ERROR_VERDICT for verdict in found["verdict"].to_pylist()]
+        chosen: dict[str, int] = {}
+        for row, key in enumerate(found["key"].to_pylist()):
+            if key not in chosen or errors[chosen[key]]:
+                chosen[key] = row
+        return found.take(sorted(chosen.values())).sort_by([("sweep", "ascending"), ("run", "ascending")])
+
+    def query(self, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+        """Return names of columns and rows of an SQL query on the table `runs`.
+
+        Raises
+        ------
+        BristleError
+            If DuckDB is not installed, or does not understand the query.
+        """
+        dataset = self.dataset()
+        try:
+            import duckdb
+        except ImportError:
+            raise BristleError("query: needs DuckDB; run: pip install 'bristle[query]'") from None
+        try:
+            with duckdb.connect() as connection:
+                connection.register("files", dataset)
+                once = f"SELECT * EXCLUDE (_copy) FROM (SELECT *, {ROW_NUMBER} AS _copy FROM files) WHERE _copy = 1"
+                connection.execute(f"CREATE VIEW runs AS {once}")
+                found = connection.execute(sql)
+                if found.description is None:
+                    return [], []
+                return [str(column[0]) for column in found.description], found.fetchall()
+        except (duckdb.Error, OSError, pa.ArrowException) as error:
+            raise BristleError(f"query: {_line(error)}") from None
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Return rows as a table; a column has Booleans, whole numbers, numbers or text, and null where a row has none of it."""
+    names = dict.fromkeys(itertools.chain.from_iterable(rows))
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    return pa.table({name: pa.array(values, _kind(values)) for name, values in columns.items()})
+
+
+def _kind(values: Sequence[object]) -> pa.DataType:
+    kinds = {type(value) for value in values if value is not None}
+    if kinds == {bool}:
+        return pa.bool_()
+    if kinds == {int}:
+        return pa.int64()
+    if kinds <= {int, float, bool}:
+        return pa.float64()
+    return pa.string()
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:300]
+
+
+def batches(items: Iterator[Any], size: int) -> Iterator[list[Any]]:
+    """Give the items in lists of a size, the last one shorter."""
+    while batch := list(itertools.islice(items, size)):
+        yield batch

@@ -1,0 +1,468 @@
+"""Many runs of one scenario, in chunks, into a store: by threads over the compiled loop, or by the workers of a Dask cluster.
+
+A chunk is computed by one function, `run_chunk`, wherever that is, so its digits do not depend on where or beside what it ran.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import math
+import shlex
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bristle.common.cache import digest
+from bristle.common.errors import BristleError
+from bristle.common.output import plain
+from bristle.common.provenance import provenance
+from bristle.common.toml import read_toml
+from bristle.fmus.calls import CONTROL_SIZE, Control
+from bristle.fmus.host import Alias, Fmu
+from bristle.fmus.isolate import isolated
+from bristle.harness.design import Axis, Design, Point
+from bristle.harness.loop import Bus, Slaves, Trace, simulate
+from bristle.harness.plan import find_fmus
+from bristle.harness.run import Options, check_loaded, outcome
+from bristle.harness.scenario import Loaded, parse
+from bristle.harness.store import ERROR_VERDICT, Store, batches
+
+Rows = list[dict[str, Any]]
+Tell = Callable[[int, int], None]  # runs that are done, of how many
+
+CHUNK_RUNS = 1000  # of a large sweep: what a kill loses at most
+CHUNKS_A_JOB = 8  # at least, of a small one, so that all jobs end at about the same time
+WAIT = 0.2  # s between two looks at what is done
+KEPT_NUMBERS = ("adapted", "innovation", "tracking_rms", "estimates", "states", "tracking", "validation")  # of result.json
+MOST_MISTAKES = 10  # lines about values that cannot be run
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What all runs of a sweep share; a run is this and a `Point`.
+
+    Attributes
+    ----------
+    path, text : Path, str
+        The scenario file.
+    axes : tuple of Axis
+        What varies.
+    options : Options
+        How to run.
+    fmus : mapping of str to mapping of str to Fmu
+        The FMUs of a run by what the scenario says of them (`parts_key`).
+    identity : str
+        Hash of all that decides the results, but for the values and the seed.
+    name : str
+        Hash of what is asked for: of the above, the values and the seeds.
+    files : mapping of str to bytes
+        FMUs and records by their path, where the runs are made on another machine.
+    """
+
+    path: Path
+    text: str
+    axes: tuple[Axis, ...]
+    options: Options
+    fmus: Mapping[str, dict[str, Fmu]]
+    identity: str
+    name: str = ""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+    def key(self, point: Point) -> str:
+        """Return the hash of all that decides the result of a run."""
+        return digest(self.identity, *point.overrides, f"seed {point.seed}")[:32]
+
+    def command(self, point: Point) -> str:
+        """Return the command that repeats one run alone."""
+        options, words = self.options, ["bristle", "run", str(self.path)]
+        for each in (*options.overrides, *point.overrides):
+            words += ["--set", each]
+        words += ["--kind", options.kind, "--fmi", str(options.fmi)]
+        return shlex.join([*words, *([] if point.seed is None else ["--seed", str(point.seed)])])
+
+    @property
+    def risky(self) -> bool:
+        """Whether an FMU takes part that may harm the process it runs in."""
+        return any(fmu.foreign or fmu.kind == "python" for each in self.fmus.values() for fmu in each.values())
+
+
+@dataclass
+class Summary:
+    """How a sweep ended: runs by verdict, those that were there before, and the seconds it took."""
+
+    verdicts: dict[str, int]
+    kept: int
+    seconds: float
+
+    @property
+    def runs(self) -> int:
+        """Runs that were made."""
+        return sum(self.verdicts.values())
+
+
+def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
+    """Read a scenario, try all listed values and the ends of the distributions, and build the FMUs.
+
+    Raises
+    ------
+    BristleError
+        A line for each value that cannot be run.
+    """
+    path = path.absolute()  # the working directory changes while FMUs are loaded
+    text, _ = read_toml(path, "scenario file")
+    empty = Sweep(path, text, design.axes, options, {}, "")
+    found: dict[str, dict[str, Fmu]] = {}
+    mistakes: dict[str, None] = {}
+    first_seed = design.seeds[0] if design.seeds else None
+    hashes: set[str] = set()
+    for overrides in design.trials():
+        try:
+            loaded = load_point(empty, Point(0, overrides, first_seed))
+            key = parts_key(loaded)
+            if key not in found:
+                found[key] = find_fmus(loaded, options.fmi, options.kind)
+                hashes |= {fmu.sha256 for fmu in found[key].values()}
+                hashes |= _record_hash(loaded)
+            check_loaded(loaded, found[key], path.parent, options)
+        except BristleError as error:
+            mistakes[str(error)] = None
+            if len(mistakes) == MOST_MISTAKES:
+                break
+    if mistakes:
+        raise BristleError("\n".join(mistakes))
+    version = provenance()["version"]
+    identity = digest(version, text, repr((options.fmi, options.kind, tuple(options.overrides))), *sorted(hashes))
+    asked = repr((design.asked, design.seeds, design.samples, design.sampling, design.sampling_seed))
+    return replace(empty, fmus=found, identity=identity, name=digest(identity, asked)[:24])
+
+
+def load_point(sweep: Sweep, point: Point) -> Loaded:
+    """Return the scenario of one run."""
+    overrides = (*sweep.options.overrides, *point.overrides)
+    return parse(sweep.path, sweep.text, copy.deepcopy(_tree(sweep.text)), overrides, point.seed)
+
+
+@cache
+def _tree(text: str) -> dict[str, Any]:
+    import tomllib
+
+    return tomllib.loads(text)
+
+
+def parts_key(loaded: Loaded) -> str:
+    """Return what a scenario says of its FMUs, but for start values: where that is equal, the FMUs are."""
+    scenario = loaded.scenario
+    parts = (scenario.plant, None if scenario.open_loop else scenario.controller, scenario.observer)
+    return json.dumps([None if part is None else part.model_dump(exclude={"parameters"}) for part in parts], sort_keys=True)
+
+
+def _record_hash(loaded: Loaded) -> set[str]:
+    record = loaded.scenario.record
+    if record is None:
+        return set()
+    try:
+        return {hashlib.sha256(loaded.beside(record.file).read_bytes()).hexdigest()}
+    except OSError:
+        return set()  # the check that follows says what is wrong with it
+
+
+# -- one chunk -----------------------------------------------------------------------------------------------------------
+
+
+class Watcher:
+    """What the threads of a sweep share: how many runs are done, and whether to stop."""
+
+    def __init__(self) -> None:
+        self.done, self.stopped = 0, False
+        self._controls: list[Control] = []
+
+    def control(self) -> Control:
+        """Return memory by which a run can be stopped."""
+        made = np.zeros(CONTROL_SIZE, dtype=np.int64)
+        self._controls.append(made)
+        return made
+
+    def stop(self) -> None:
+        """End all runs at their next step."""
+        self.stopped = True
+        for each in self._controls:
+            each[1] = 1
+
+
+def run_chunk(sweep: Sweep, points: Sequence[Point], watcher: Watcher | None = None) -> Rows:
+    """Make some runs, one after the other, and return a row for each; fewer if it is stopped.
+
+    Runs with FMUs that may harm their process are made in a child process; if that dies, the runs are halved until the one that
+    kills it is found, which is an error.
+    """
+    watcher = watcher or Watcher()
+    here = _unpacked(sweep)
+    if not here.risky:
+        return _rows(here, points, watcher.control(), watcher)
+    return _isolated_rows(here, points, watcher)
+
+
+def _isolated_rows(sweep: Sweep, points: Sequence[Point], watcher: Watcher) -> Rows:
+    def look(_done: int) -> None:
+        if watcher.stopped:
+            raise BristleError("stopped")
+
+    paths = sorted({fmu.path for each in sweep.fmus.values() for fmu in each.values()})
+    limit = None if sweep.options.timeout is None else sweep.options.timeout * len(points)
+    try:
+        rows: Rows = isolated(_rows_in_child, (sweep, list(points)), paths, list, look, limit)
+        watcher.done += len(rows)
+        return rows
+    except BristleError as error:
+        if watcher.stopped:
+            return []
+        if len(points) > 1:
+            half = len(points) // 2
+            return [*_isolated_rows(sweep, points[:half], watcher), *_isolated_rows(sweep, points[half:], watcher)]
+        watcher.done += 1
+        return [_row(sweep, points[0]) | {"verdict": ERROR_VERDICT, "message": str(error)}]
+
+
+def _rows_in_child(asked: tuple[Sweep, list[Point]], control: Control) -> Rows:
+    return _rows(*asked, control, Watcher())
+
+
+def _rows(sweep: Sweep, points: Sequence[Point], control: Control, watcher: Watcher) -> Rows:
+    rows: Rows = []
+    with Slaves() as slaves:
+
+        def run(bus: Bus, _progress: object = None, _timeout: object = None) -> Trace:
+            return simulate(bus, control=control, slaves=slaves)
+
+        for point in points:
+            row = _run(sweep, point, run)
+            if watcher.stopped:
+                break
+            rows.append(row)
+            watcher.done += 1
+    return rows
+
+
+def _run(sweep: Sweep, point: Point, run: Callable[..., Trace]) -> dict[str, Any]:
+    """Make one run."""
+    row, begun = _row(sweep, point), time.perf_counter()
+    try:
+        loaded = load_point(sweep, point)
+        fmus = sweep.fmus.get(parts_key(loaded)) or find_fmus(loaded, sweep.options.fmi, sweep.options.kind)
+        found = outcome(replace(check_loaded(loaded, fmus, sweep.path.parent, sweep.options), simulate=run)).result
+    except BristleError as error:
+        return row | {"verdict": ERROR_VERDICT, "message": str(error), "wall_s": time.perf_counter() - begun}
+    failed = [check["name"] for check in found["checks"] if not check["pass"]]
+    row |= {
+        "verdict": found["verdict"], "message": found["diverged"]["message"] if "diverged" in found else "",
+        "failed": "; ".join(failed), "checks": len(found["checks"]), "checks_passed": len(found["checks"]) - len(failed),
+        "steps": found["steps"], "wall_s": time.perf_counter() - begun,
+    }  # fmt: skip
+    hashes = {f"sha256.{name}": fmu["sha256"] for name, fmu in found["fmus"].items()}
+    return row | hashes | _numbers({name: found[name] for name in KEPT_NUMBERS if name in found}) | _values(sweep, point)
+
+
+def _row(sweep: Sweep, point: Point) -> dict[str, Any]:
+    """Return what is known of a run before it is made."""
+    return {
+        "key": sweep.key(point), "sweep": sweep.name, "run": point.index, "scenario": sweep.path.stem,
+        "scenario_sha256": hashlib.sha256(sweep.text.encode()).hexdigest(), "seed": point.seed, "command": sweep.command(point),
+    } | _values(sweep, point)  # fmt: skip
+
+
+def _values(sweep: Sweep, point: Point) -> dict[str, Any]:
+    return {axis.path: axis.value(each) for axis, each in zip(sweep.axes, point.overrides, strict=True)}
+
+
+def _numbers(tree: Mapping[str, Any], before: str = "") -> dict[str, float | bool | None]:
+    """Return the numbers of a tree by their dotted paths; what is not finite is null."""
+    found: dict[str, float | bool | None] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            found |= _numbers(value, f"{before}{name}.")
+        elif isinstance(value, bool | np.bool_):
+            found[before + name] = bool(value)
+        elif isinstance(value, int | float | np.number):
+            found[before + name] = float(value) if math.isfinite(value) else None
+        elif value is None:
+            found[before + name] = None
+    return found
+
+
+# -- another machine -----------------------------------------------------------------------------------------------------
+
+
+def packed(sweep: Sweep) -> Sweep:
+    """Return a sweep with its files, for a machine that does not have them."""
+    paths = {fmu.path for each in sweep.fmus.values() for fmu in each.values()}
+    return replace(sweep, files={str(path): path.read_bytes() for path in paths})
+
+
+def _unpacked(sweep: Sweep) -> Sweep:
+    """Return a sweep whose files are on this machine; they are written once a process."""
+    if not sweep.files:
+        return sweep
+    with _unpacking:
+        if sweep.identity not in _places:
+            _places[sweep.identity] = _written(sweep.files)
+    places = _places[sweep.identity]
+    moved = {key: {name: _moved(fmu, places) for name, fmu in each.items()} for key, each in sweep.fmus.items()}
+    return replace(sweep, fmus=moved, files={})
+
+
+_unpacking = threading.Lock()
+_places: dict[str, dict[str, Path]] = {}  # where the files of a sweep are, by its identity
+_folders: list[tempfile.TemporaryDirectory[str]] = []  # which live as long as the process
+
+
+def _written(files: Mapping[str, bytes]) -> dict[str, Path]:
+    _folders.append(tempfile.TemporaryDirectory(prefix="bristle-sweep-", ignore_cleanup_errors=True))
+    found = {}
+    for place, (name, content) in enumerate(files.items()):
+        found[name] = Path(_folders[-1].name) / str(place) / Path(name).name
+        found[name].parent.mkdir()
+        found[name].write_bytes(content)
+    return found
+
+
+def _moved(fmu: Fmu, places: Mapping[str, Path]) -> Fmu:
+    aliases: dict[str, Alias] = fmu.aliases
+    return Fmu(places[str(fmu.path)], fmu.foreign, aliases)
+
+
+# -- all chunks ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Means:
+    """How a sweep is made.
+
+    Attributes
+    ----------
+    jobs : int
+        Threads; not used with a cluster.
+    cluster : str, optional
+        Address of the scheduler of a Dask cluster.
+    resume : bool
+        Go on with a store that has runs already.
+    command : str
+        For the provenance.
+    """
+
+    jobs: int = 1
+    cluster: str | None = None
+    resume: bool = False
+    command: str = ""
+
+
+def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = None, progress: Tell | None = None) -> Summary:
+    """Make the runs of a sweep that the store does not have, chunk by chunk.
+
+    Parameters
+    ----------
+    sweep, design : Sweep, Design
+        What to run, of `prepare_sweep`.
+    store : Store
+        Where the rows go.
+    means : Means, optional
+        How.
+    progress : function, optional
+        Called now and then.
+
+    Raises
+    ------
+    BristleError
+        If the store cannot be written, has runs and `resume` is not given, or the cluster cannot be reached.
+    """
+    means = means or Means()
+    if store.files() and not means.resume:
+        raise BristleError(f"{store.path}: has runs already; add --resume to make those that are missing, or give another folder")
+    begun, watcher = time.perf_counter(), Watcher()
+    store.describe(sweep.name, _described(sweep, design, means.command))
+    done = store.done() if means.resume else set()
+    kept = sum(sweep.key(point) in done for point in design.points()) if done else 0
+    todo = (point for point in design.points() if sweep.key(point) not in done)
+    total, verdicts = design.runs - kept, dict.fromkeys(("pass", "fail", ERROR_VERDICT), 0)
+    tell = progress or (lambda _done, _total: None)
+    with _executor(sweep, means, watcher) as (submit, workers):
+        size = max(1, min(CHUNK_RUNS, math.ceil(total / (workers * CHUNKS_A_JOB))))
+        for rows in _finished(submit, batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)):
+            store.add(rows)
+            for row in rows:
+                verdicts[row["verdict"]] += 1
+            watcher.done = max(watcher.done, sum(verdicts.values()))
+    tell(total, total)
+    return Summary(verdicts, kept, time.perf_counter() - begun)
+
+
+def _finished(
+    submit: Callable[[list[Point]], Future[Rows]], chunks: Iterator[list[Point]], most: int, look: Callable[[], None]
+) -> Iterator[Rows]:
+    """Give the rows of each chunk when it is done, with a bounded number of them under way."""
+    waiting = {submit(chunk) for _, chunk in zip(range(most), chunks, strict=False)}
+    while waiting:
+        done, waiting = wait(waiting, WAIT, FIRST_COMPLETED)
+        look()
+        for future in done:
+            yield future.result()
+            waiting |= {submit(chunk) for _, chunk in zip(range(1), chunks, strict=False)}
+
+
+@contextmanager
+def _executor(sweep: Sweep, means: Means, watcher: Watcher) -> Iterator[tuple[Callable[[list[Point]], Future[Rows]], int]]:
+    """Give what takes chunks, and how many it works on at once; leaving the context in an error stops all of them."""
+    with ExitStack() as stack:
+        if means.cluster is None:
+            pool: Executor = stack.enter_context(ThreadPoolExecutor(means.jobs))
+            try:
+                yield lambda points: pool.submit(run_chunk, sweep, points, watcher), means.jobs
+            except BaseException:
+                watcher.stop()
+                pool.shutdown(cancel_futures=True)
+                raise
+            return
+        client = stack.enter_context(_client(means.cluster))
+        workers = sum(client.nthreads().values())
+        if not workers:
+            raise BristleError(f"cluster {means.cluster}: has no workers; start some with dask worker {means.cluster}")
+        shipped = client.scatter(packed(sweep), broadcast=True, hash=False)
+        remote = client.get_executor(pure=False)
+        try:
+            yield lambda points: remote.submit(run_chunk, shipped, points), workers
+        except BaseException:
+            remote.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BristleError("cluster: needs Dask; run: pip install 'bristle[cluster]'") from None
+    try:
+        return Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        line = " ".join(str(error).split()) or type(error).__name__
+        raise BristleError(f"cluster {address}: {line}; give the address of a Dask scheduler, such as tcp://host:8786") from None
+
+
+def _described(sweep: Sweep, design: Design, command: str) -> dict[str, Any]:
+    fmus = {f"{fmu.path.name} {fmu.sha256}": None for each in sweep.fmus.values() for fmu in each.values()}
+    return {
+        "scenario": sweep.path.stem, "scenario_sha256": hashlib.sha256(sweep.text.encode()).hexdigest(), "text": sweep.text,
+        "vary": {axis.path: "numbers in SI units" if axis.numeric else "text" for axis in sweep.axes},
+        "runs": design.runs, "seeds": list(design.seeds), "samples": design.samples, "sampling": design.sampling,
+        "sampling_seed": design.sampling_seed, "options": plain(vars(sweep.options)), "fmus": list(fmus),
+        "provenance": {**provenance(), "command": command},
+    }  # fmt: skip

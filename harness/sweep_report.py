@@ -1,0 +1,313 @@
+"""The report of a store: verdicts, distributions of estimates, coverage of their intervals, and where runs fail."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.common.drawing import BLUE, GREY, RED, STYLE, new_figure, set_labels, set_title, svg
+from bristle.common.html import badge, figure, identifier, number, page, table
+from bristle.harness.store import ERROR_VERDICT, Store
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 0.95  # of the intervals of shares
+NORMAL_QUANTILE = 1.96  # standard deviations to either side that a 95 % interval of an estimate has
+SHOWN_RUNS = 400  # points of the maps, each with its row: runs that do not pass first
+MOST_MAPS = 6  # pairs of values that are mapped
+MOST_MESSAGES = 5  # reasons why runs ended that are listed, the most frequent ones
+BINS = 10  # of a value, over which shares of runs are taken
+HISTOGRAM_BINS = 40
+TAIL = 1.0  # percent of the runs at either end that a histogram leaves out
+PERCENTILES = (5.0, 50.0, 95.0)
+MAP_SEED = 1  # chooses which passing runs are shown
+OUTCOMES = {"pass": BLUE, "fail": RED, ERROR_VERDICT: GREY}  # colour by verdict
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many of how many, with the Clopper-Pearson interval of the share."""
+
+    count: int
+    total: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Bounds of the share at `CONFIDENCE`."""
+        from scipy.stats import beta
+
+        rest, k, n = (1 - CONFIDENCE) / 2, self.count, self.total
+        low = 0.0 if k == 0 else float(beta.ppf(rest, k, n - k + 1))
+        return low, 1.0 if k == n else float(beta.ppf(1 - rest, k + 1, n - k))
+
+    def text(self) -> str:
+        """Return the share with its interval in percent."""
+        if not self.total:
+            return "–"
+        low, high = self.interval
+        return f"{100 * self.count / self.total:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+class Runs:
+    """The runs of a store as columns."""
+
+    def __init__(self, store: Store) -> None:
+        self.sweeps, self._table = store.sweeps(), store.table()
+        self.verdict = [str(each) for each in self._table["verdict"].to_pylist()]
+        self.index = np.arange(len(self.verdict))
+
+    def __len__(self) -> int:
+        return len(self.verdict)
+
+    def column(self, name: str) -> list[Any]:
+        """Return a column, all null if there is none of that name."""
+        return self._table[name].to_pylist() if name in self._table.column_names else [None] * len(self)
+
+    def numbers(self, name: str) -> Array:
+        """Return a column of numbers, not a number where there is none."""
+        return np.array([math.nan if value is None else float(value) for value in self.column(name)])
+
+    def share(self, chosen: NDArray[np.bool_] | None = None) -> Share:
+        """Return how many of the chosen runs pass."""
+        passed = np.array([verdict == "pass" for verdict in self.verdict])
+        chosen = np.ones(len(self), dtype=bool) if chosen is None else chosen
+        return Share(int(np.sum(passed & chosen)), int(np.sum(chosen)))
+
+    @property
+    def parameters(self) -> list[str]:
+        """The parameters of which there are estimates."""
+        names = [name.split(".") for name in self._table.column_names]
+        return sorted({parts[1] for parts in names if len(parts) == 3 and parts[0] == "estimates"})
+
+    @property
+    def varied(self) -> list[str]:
+        """What varies over the runs: the values that were asked for, and the seed, where there are several."""
+        asked = dict.fromkeys(itertools.chain.from_iterable(sweep["vary"] for sweep in self.sweeps))
+        return [name for name in [*asked, "seed"] if len(set(self.column(name)) - {None}) > 1]
+
+    def numeric(self, name: str) -> bool:
+        """Whether a column has numbers."""
+        return not any(isinstance(value, str) for value in self.column(name))
+
+
+def statistics(runs: Runs) -> list[dict[str, Any]]:
+    """Return, for each estimated parameter: valid runs, percentiles of the error in percent, and how often the interval holds.
+
+    The interval is the estimate with 1.96 of its own standard deviations to either side; it holds if the true value is in it.
+    """
+    found = []
+    for name in runs.parameters:
+        final, true, sd, error = (runs.numbers(f"estimates.{name}.{part}") for part in ("final", "true", "sd", "error_percent"))
+        known = np.isfinite(error)
+        told = np.isfinite(final) & np.isfinite(true) & np.isfinite(sd)
+        holds = np.abs(final - true)[told] <= NORMAL_QUANTILE * sd[told]
+        estimated = np.array([value is not None for value in runs.column(f"estimates.{name}.valid")])
+        worst = int(np.nanargmax(np.abs(error))) if known.any() else None
+        found.append({
+            "parameter": name, "valid": Share(int(np.sum(np.isfinite(final))), int(np.sum(estimated))), "errors": error[known],
+            "percentiles": np.percentile(error[known], PERCENTILES) if known.any() else [math.nan] * len(PERCENTILES),
+            "worst": worst, "worst_error": math.nan if worst is None else float(error[worst]),
+            "coverage": Share(int(np.sum(holds)), int(np.sum(told))),
+        })  # fmt: skip
+    return found
+
+
+def summary(runs: Runs) -> dict[str, Any]:
+    """Return the content of report.json: the figures of the report."""
+
+    def share(each: Share) -> dict[str, Any]:
+        return {"count": each.count, "total": each.total, "interval95": list(each.interval) if each.total else None}
+
+    return {
+        "runs": len(runs), "verdicts": dict(Counter(runs.verdict)), "pass": share(runs.share()), "failed_checks": _failed(runs),
+        "estimates": {
+            each["parameter"]: {
+                "valid": share(each["valid"]), "error_percent": dict(zip(("p5", "p50", "p95"), each["percentiles"], strict=True)),
+                "worst_error_percent": each["worst_error"], "coverage95": share(each["coverage"]),
+            }
+            for each in statistics(runs)
+        },
+    }  # fmt: skip
+
+
+def render(runs: Runs) -> str:
+    """Return report.html."""
+    share = runs.share()
+    head = badge("good" if share.count == share.total else "bad", f"{share.count} of {share.total} runs pass")
+    low, high = share.interval
+    note = (
+        f"{100 * share.count / share.total:.1f} % pass; 95 % interval {100 * low:.1f} to {100 * high:.1f} % (Clopper and Pearson), "
+        "if the runs are independent draws: those of a grid are not."
+    )
+    shown = _shown(runs)
+    parts = [f"<header><h1>Sweep {head}</h1><p>{note}</p></header>", _verdicts(runs), _estimates(runs, shown)]
+    parts += [_maps(runs, shown), _rows(runs, shown), _origin(runs)]
+    return page(f"{share.count} of {share.total} runs pass", "\n".join(parts))
+
+
+# -- parts ---------------------------------------------------------------------------------------------------------------
+
+
+def _failed(runs: Runs) -> dict[str, int]:
+    """Return in how many runs each check fails."""
+    said = (each.split("; ") for each in runs.column("failed") if each)
+    return dict(Counter(itertools.chain.from_iterable(said)).most_common())
+
+
+def _verdicts(runs: Runs) -> str:
+    counts = Counter(runs.verdict)
+    rows = [(f"verdict {word}", f"{counts[word]}", Share(counts[word], len(runs)).text()) for word in OUTCOMES if counts[word]]
+    messages = Counter(each for each in runs.column("message") if each).most_common(MOST_MESSAGES)
+    for what, count in [*((f"check fails: {name}", count) for name, count in _failed(runs).items()), *messages]:
+        rows.append((identifier(what), f"{count}", Share(count, len(runs)).text()))
+    return "<h2>Verdicts</h2>" + table(("", "runs", "share [95 % interval]"), rows, (1,))
+
+
+def _estimates(runs: Runs, shown: NDArray[np.intp]) -> str:
+    found = [each for each in statistics(runs) if each["valid"].total]
+    if not found:
+        return ""
+    rows = [
+        (
+            identifier(each["parameter"]), each["valid"].text(), *(number(float(value), 3) for value in each["percentiles"]),
+            _linked(runs, each["worst"], number(each["worst_error"], 3), shown), each["coverage"].text(),
+        )
+        for each in found
+    ]  # fmt: skip
+    head = ("parameter", "valid at the end", "error, 5 % below", "median, %", "5 % above", "worst, %", "true value in the interval")
+    parts = ["<h2>Estimates</h2>", table(head, rows, (2, 3, 4, 5))]
+    parts.append(
+        "<p>Errors are those of the final estimates, relative to the true values, of runs in which the observer calls them valid. "
+        "The last column should be 95 %: how often the true value lies within 1.96 standard deviations of the estimate, where the "
+        "observer gives one.</p>"
+    )
+    drawn = [each for each in found if len(each["errors"]) > 1]
+    if drawn:
+        caption = f"Errors of the final estimates. {TAIL:g} % of the runs at either end lie outside what is drawn."
+        parts.append(figure("Distributions of the errors of the estimates", _histograms(drawn), caption))
+    return "\n".join(parts)
+
+
+def _histograms(found: Sequence[Mapping[str, Any]]) -> str:
+    from matplotlib import rc_context
+
+    columns = min(3, len(found))
+    lines = math.ceil(len(found) / columns)
+    with rc_context(STYLE):
+        drawing = new_figure(10.2, 2.3 * lines + 0.3)
+        drawing.subplots_adjust(wspace=0.28, hspace=0.65)
+        for place, each in enumerate(found, 1):
+            ax = drawing.add_subplot(lines, columns, place)
+            low, high = np.percentile(each["errors"], (TAIL, 100 - TAIL))
+            room = 0.02 * (high - low) or 1e-3
+            ax.hist(each["errors"], HISTOGRAM_BINS, (low - room, high + room), color=BLUE)
+            ax.axvline(0.0, color=GREY, linewidth=1.0)
+            set_title(ax, each["parameter"])
+            set_labels(ax, "error, %", "runs" if place % columns == 1 or columns == 1 else None)
+        return svg(drawing, "histograms")
+
+
+def _shown(runs: Runs) -> NDArray[np.intp]:
+    """Return which runs the maps show: those that do not pass first, then passing ones drawn at random."""
+    passed = np.array([verdict == "pass" for verdict in runs.verdict])
+    draw = np.random.default_rng(MAP_SEED)
+    failing, passing = draw.permutation(runs.index[~passed]), draw.permutation(runs.index[passed])
+    most = max(SHOWN_RUNS // 2, SHOWN_RUNS - len(passing))
+    failing = failing[:most]
+    return np.sort(np.concatenate([failing, passing[: SHOWN_RUNS - len(failing)]]))
+
+
+def _maps(runs: Runs, shown: NDArray[np.intp]) -> str:
+    varied = runs.varied
+    if not varied:
+        return ""
+    numeric = [name for name in varied if runs.numeric(name) and name != "seed"]
+    parts = ["<h2>Where runs fail</h2>"]
+    rows = [(identifier(name), escape(text), each.text()) for name in varied for text, each in _groups(runs, name)]
+    parts.append(table(("value", "", "runs that pass [95 % interval]"), rows))
+    pairs = list(itertools.combinations(numeric, 2))[:MOST_MAPS]
+    if pairs:
+        drawn = f"{len(shown)} of {len(runs)} runs" if len(shown) < len(runs) else f"All {len(runs)} runs"
+        caption = f"{drawn}, runs that do not pass in red; a point leads to the command that repeats its run."
+        if len(pairs) < len(numeric) * (len(numeric) - 1) // 2:
+            caption += f" The first {MOST_MAPS} pairs of values."
+        parts.append(f'<figure class="inline">{_scatter(runs, pairs, shown)}<figcaption>{caption}</figcaption></figure>')
+    return "\n".join(parts)
+
+
+def _groups(runs: Runs, name: str) -> list[tuple[str, Share]]:
+    """Return the share of passing runs by value, or by interval of equal numbers of runs where there are many values."""
+    values = runs.column(name)
+    different = sorted(set(values) - {None})
+    if len(different) <= BINS or not runs.numeric(name):
+        wanted = [(value, np.array([each == value for each in values])) for value in different[: 3 * BINS]]
+        return [(value if isinstance(value, str) else f"{value:.6g}", runs.share(chosen)) for value, chosen in wanted]
+    if name == "seed":
+        return []
+    numbers = runs.numbers(name)
+    edges = np.unique(np.nanpercentile(numbers, np.linspace(0, 100, BINS + 1)))
+    bins = np.searchsorted(edges[1:-1], numbers, side="right")
+    return [
+        (f"{low:.4g} to {high:.4g}", runs.share((bins == place) & np.isfinite(numbers)))
+        for place, (low, high) in enumerate(itertools.pairwise(edges))
+    ]
+
+
+def _scatter(runs: Runs, pairs: Sequence[tuple[str, str]], shown: NDArray[np.intp]) -> str:
+    from matplotlib import rc_context
+
+    columns = min(2, len(pairs))
+    lines = math.ceil(len(pairs) / columns)
+    with rc_context(STYLE):
+        drawing = new_figure(10.2, 3.3 * lines + 0.3)
+        drawing.subplots_adjust(wspace=0.28, hspace=0.5)
+        for place, (x, y) in enumerate(pairs, 1):
+            ax = drawing.add_subplot(lines, columns, place)
+            for verdict, colour in OUTCOMES.items():
+                chosen = np.array([each for each in shown if runs.verdict[each] == verdict], dtype=int)
+                if len(chosen):
+                    at = runs.numbers(x)[chosen], runs.numbers(y)[chosen]
+                    points = ax.scatter(*at, 14, color=colour, label=verdict, linewidths=0)
+                    points.set_urls([f"#run-{each}" for each in chosen])
+            set_labels(ax, x, y)
+            ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderpad=0, handletextpad=0.2)
+        return svg(drawing, "maps")
+
+
+def _rows(runs: Runs, shown: NDArray[np.intp]) -> str:
+    """List the runs of the maps with the commands that repeat them."""
+    commands, failed, messages = runs.column("command"), runs.column("failed"), runs.column("message")
+    rows = []
+    for each in shown:
+        verdict = runs.verdict[each]
+        why = escape("; ".join(text for text in (failed[each], messages[each]) if text))
+        place = f'<span id="run-{each}">{runs.column("run")[each] if len(runs.sweeps) == 1 else each}</span>'
+        command = f"<code>{escape(str(commands[each]))}</code>"
+        rows.append((place, badge("good" if verdict == "pass" else "bad", verdict), why, command))
+    listed = table(("run", "", "what does not hold", "command that repeats it alone"), rows)
+    return f"<h2>Runs</h2><p>{len(shown)} of {len(runs)} runs; all are in the store.</p>{listed}"
+
+
+def _linked(runs: Runs, row: int | None, text: str, shown: NDArray[np.intp]) -> str:
+    return f'<a href="#run-{row}">{text}</a>' if row is not None and row in shown else text
+
+
+def _origin(runs: Runs) -> str:
+    parts = ["<h2>Where it comes from</h2>"]
+    for sweep in runs.sweeps:
+        origin = sweep["provenance"]
+        told = {
+            "scenario": f"{sweep['scenario']} (sha256 {sweep['scenario_sha256'][:16]})", "command": origin["command"],
+            "asked for": f"{sweep['runs']} runs", "date": origin["date"], "version": f"{origin['version']}, {origin['platform']}",
+            "FMUs": ", ".join(sweep["fmus"]),
+        }  # fmt: skip
+        parts.append("<dl>" + "".join(f"<dt>{name}</dt><dd>{escape(str(value))}</dd>" for name, value in told.items()) + "</dl>")
+    return "\n".join(parts)
