@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.units import parse_unit
@@ -36,15 +36,16 @@ class Axis:
     distribution: Any = None
     unit: str = ""
 
-    def drawn(self, share: float) -> str:
-        """Return the override whose value has this cumulative probability."""
-        number = f"{self.path}={float(self.distribution.ppf(share))!r}"
-        return f"{number} {self.unit}" if self.unit else number
+    def drawn(self, shares: ArrayLike) -> list[str]:
+        """Return the overrides whose values have these cumulative probabilities."""
+        unit = f" {self.unit}" if self.unit else ""
+        return [f"{self.path}={value!r}{unit}" for value in np.asarray(self.distribution.ppf(shares), dtype=float).tolist()]
 
     @property
     def numeric(self) -> bool:
         """Whether its values are numbers of one dimension."""
-        return not self.overrides or len({_dimension(each) for each in self.overrides} | {None}) == 2
+        dimensions = {_dimension(each) for each in self.overrides}
+        return not self.overrides or (len(dimensions) == 1 and None not in dimensions)
 
     def value(self, override: str) -> float | str:
         """Return the value of one of its overrides for a table: a number in SI units, or text."""
@@ -56,7 +57,7 @@ class Axis:
 
     def ends(self) -> tuple[str, ...]:
         """Return the overrides that are tried before anything runs: all that are listed, or far out and in the middle."""
-        return self.overrides or tuple(map(self.drawn, (0.001, 0.5, 0.999)))
+        return self.overrides or tuple(self.drawn((0.001, 0.5, 0.999)))
 
 
 @dataclass(frozen=True)
@@ -87,17 +88,17 @@ class Design:
 
     def points(self) -> Iterator[Point]:
         """Give the runs in their order: seeds change fastest, then the drawn values, then the last of the listed ones."""
-        shares = self._shares()
-        drawn = [axis for axis in self.axes if not axis.overrides]
+        axes = [axis for axis in self.axes if not axis.overrides]
+        columns = [axis.drawn(shares) for axis, shares in zip(axes, self._shares().T, strict=True)]
+        drawn = list(zip(*columns, strict=True)) or [()]
         listed = [axis.overrides for axis in self.axes if axis.overrides]
         order = {axis.path: place for place, axis in enumerate(self.axes)}
         count = itertools.count()
         for chosen in itertools.product(*listed):
-            for row in shares:
-                values = [*chosen, *(axis.drawn(share) for axis, share in zip(drawn, row, strict=True))]
-                sorted_values = tuple(sorted(values, key=lambda value: order[value.partition("=")[0]]))
+            for row in drawn:
+                values = tuple(sorted([*chosen, *row], key=lambda value: order[value.partition("=")[0]]))
                 for seed in self.seeds or (None,):
-                    yield Point(next(count), sorted_values, seed)
+                    yield Point(next(count), values, seed)
 
     def trials(self) -> Iterator[tuple[str, ...]]:
         """Give the overrides that are checked before anything runs: each value of each axis, with the others at their first."""

@@ -182,7 +182,7 @@ def _estimates(runs: Runs, shown: NDArray[np.intp]) -> str:
         )
         for each in found
     ]  # fmt: skip
-    head = ("parameter", "valid at the end", "error, 5 % below", "median, %", "5 % above", "worst, %", "true value in the interval")
+    head = ("parameter", "valid at the end", "error: 5th percentile, %", "median", "95th", "worst", "true value in the interval")
     parts = ["<h2>Estimates</h2>", table(head, rows, (2, 3, 4, 5))]
     parts.append(
         "<p>Errors are those of the final estimates, relative to the true values, of runs in which the observer calls them valid. "
@@ -208,7 +208,7 @@ def _histograms(found: Sequence[Mapping[str, Any]]) -> str:
             ax = drawing.add_subplot(lines, columns, place)
             low, high = np.percentile(each["errors"], (TAIL, 100 - TAIL))
             room = 0.02 * (high - low) or 1e-3
-            ax.hist(each["errors"], HISTOGRAM_BINS, (low - room, high + room), color=BLUE)
+            ax.hist(each["errors"], HISTOGRAM_BINS, range=(low - room, high + room), color=BLUE)
             ax.axvline(0.0, color=GREY, linewidth=1.0)
             set_title(ax, each["parameter"])
             set_labels(ax, "error, %", "runs" if place % columns == 1 or columns == 1 else None)
