@@ -201,13 +201,11 @@ def build(
         If there is no such part, law, method, effect or platform, an effect cannot join the law, there is no compiler, or the
         folder cannot be written.
     """
-    from bristle.harness.catalogue import Choice, build_file
+    from bristle.harness.catalogue import Choice, build_files
 
-    return build_file(
-        as_choice("part", part, PARTS), as_path("out", out),
-        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS),
-        choice=Choice(law, method, as_names("effects", effects), encoder, platforms),
-    )  # fmt: skip
+    choice = Choice(law, method, as_names("effects", effects), encoder, platforms)
+    fmi, kind = as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS)
+    return build_files({as_choice("part", part, PARTS): choice}, as_path("out", out), fmi=fmi, kind=kind)[0]
 
 
 def diagnose(
