@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from bristle.common.errors import BristleError
-from bristle.common.work import sweep, work_folder
+from bristle.common.work import sweep_once, work_folder
 
 _seen: set[tuple[str, int, int, int]] = set()  # files that were compared with their hash: path, size, time, place
 
@@ -55,6 +55,7 @@ def cached(name: str, make: Callable[[Path], None]) -> Path:
     is compared with its hash when this process uses it first: a library of which some bytes are wrong would kill it.
     """
     target = cache_folder() / name
+    sweep_once(target.parent)
     try:
         if not _sound(target):
             with _alone(target):
@@ -75,7 +76,6 @@ def _alone(target: Path) -> AbstractContextManager[object]:
 
 def _make(target: Path, make: Callable[[Path], None]) -> None:
     """Make a file with its hash beside it; a crash between both leaves a file that does not match, and is made again."""
-    sweep(target.parent)
     with work_folder(target.parent) as folder:
         fresh, digest_of = folder / target.name, folder / "sum"
         make(fresh)

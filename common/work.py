@@ -26,8 +26,7 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
 
     def __init__(self, kind: str, place: Path | None = None) -> None:
         parent = Path(tempfile.gettempdir()) if place is None else place
-        if parent not in _swept:
-            sweep(parent)
+        sweep_once(parent)
         super().__init__(prefix=f"{WORK}{kind}-", dir=parent, ignore_cleanup_errors=True)
         self._lock = lock(Path(self.name))
 
@@ -76,9 +75,15 @@ def unlock(handle: int | None) -> None:
         os.close(handle)
 
 
+def sweep_once(place: Path) -> None:
+    """Sweep a place that this process has not swept yet."""
+    if place not in _swept:
+        _swept.add(place)
+        sweep(place)
+
+
 def sweep(place: Path) -> None:
     """Remove the folders of killed processes from a place: those that are old, unlocked, of this user and without a journal."""
-    _swept.add(place)
     with suppress(OSError):
         for path in [each for each in place.iterdir() if OURS.fullmatch(each.name)]:
             with suppress(OSError):
