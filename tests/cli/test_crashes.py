@@ -158,6 +158,6 @@ def test_diagnose(commands: Commands, inputs: Path, number: int) -> None:
     assert crash(commands, DIAGNOSE, inputs, old, number) == {False, True}
 
 
-@pytest.mark.parametrize("number", [3, pytest.param(16, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [3, pytest.param(8, marks=pytest.mark.slow)])
 def test_build_into_an_empty_cache(commands: Commands, inputs: Path, number: int) -> None:
     assert crash(commands, BUILD, inputs, None, number) == {False, True}
