@@ -8,27 +8,44 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import warnings
+from collections.abc import Callable
 
-import bristle.cli.commands  # noqa: F401  # the application then has them
-from bristle.cli.app import ERROR, PASS, app
-from bristle.cli.terminal import Interrupted, complain, interrupt, show_warning
+OPTIONS_OF_LIBRARIES = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}  # more do not pay on small matrices
 
 
 def main() -> None:
     """Run the command line; an error ends with one line and exit code 2."""
-    debug = "--debug" in sys.argv
-    for library in ("OPENBLAS", "OMP", "MKL"):  # before NumPy: its threads do not pay on matrices this small
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, interrupt)
-    warnings.showwarning = show_warning
+    _on_signals(_leave)  # before the imports, which take most of the start
+    for name, value in OPTIONS_OF_LIBRARIES.items():
+        os.environ.setdefault(name, value)
+    import warnings
+
+    import bristle.cli.commands  # noqa: F401  # the application then has them
+    from bristle.cli.app import ERROR, PASS, app
+    from bristle.cli.terminal import Interrupted, complain, interrupt, show_unraisable, show_warning
+
+    warnings.showwarning, sys.unraisablehook = show_warning, show_unraisable
     try:
+        _on_signals(interrupt)
         code = app(standalone_mode=False)
     except (Exception, Interrupted) as error:
-        complain(error, debug)
+        _on_signals(signal.SIG_IGN)
+        complain(error, "--debug" in sys.argv)
         raise SystemExit(ERROR) from None
+    _on_signals(signal.SIG_IGN)
     raise SystemExit(code if isinstance(code, int) else PASS)
+
+
+def _on_signals(handler: Callable[[int, object], None] | signal.Handlers) -> None:
+    """Set what Ctrl-C and SIGTERM do: at the end nothing, so that what is under way at the end of the process is done."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _leave(_number: int, _frame: object) -> None:
+    """Leave at once: nothing is begun yet, and an exception in the middle of imports may be printed by others."""
+    os.write(2, b"bristle: interrupted\n")
+    os._exit(2)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bristle.cli.app import app
 from bristle.common.errors import BristleError
@@ -120,6 +120,12 @@ def check_interrupt() -> None:
     """Raise an interrupt again that came in a finaliser or a callback from C, where Python drops exceptions."""
     if _interrupts:
         raise Interrupted(_interrupts[0])
+
+
+def show_unraisable(unraisable: Any) -> None:
+    """Print an exception that Python drops as it does, but not an interrupt, which `check_interrupt` raises again."""
+    if not isinstance(unraisable.exc_value, Interrupted):
+        sys.__unraisablehook__(unraisable)
 
 
 def show_warning(

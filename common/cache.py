@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import sys
-import tempfile
-import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from bristle.common.errors import BristleError
-
-MAKING = ".making-"  # how folders begin in which a file is made
-OLD = 24 * 3600.0  # s after which such a folder is taken for one of a process that was killed
+from bristle.common.work import sweep_once, work_folder
 
 _seen: set[tuple[str, int, int, int]] = set()  # files that were compared with their hash: path, size, time, place
 
@@ -60,6 +55,7 @@ def cached(name: str, make: Callable[[Path], None]) -> Path:
     is compared with its hash when this process uses it first: a library of which some bytes are wrong would kill it.
     """
     target = cache_folder() / name
+    sweep_once(target.parent)
     try:
         if not _sound(target):
             with _alone(target):
@@ -80,9 +76,8 @@ def _alone(target: Path) -> AbstractContextManager[object]:
 
 def _make(target: Path, make: Callable[[Path], None]) -> None:
     """Make a file with its hash beside it; a crash between both leaves a file that does not match, and is made again."""
-    _sweep(target.parent)
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=MAKING) as folder:
-        fresh, digest_of = Path(folder) / target.name, Path(folder) / "sum"
+    with work_folder(target.parent) as folder:
+        fresh, digest_of = folder / target.name, folder / "sum"
         make(fresh)
         digest_of.write_text(_hash(fresh), encoding="ascii")
         for path in (fresh, digest_of):
@@ -116,11 +111,3 @@ def _sound(target: Path) -> bool:
     except UnicodeDecodeError:  # of a damaged hash
         return False
     return True
-
-
-def _sweep(folder: Path) -> None:
-    """Remove what processes left that were killed while they made a file."""
-    for path in folder.glob(f"{MAKING}*"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > OLD:
-                shutil.rmtree(path, ignore_errors=True)

@@ -1,11 +1,15 @@
-"""Output files: JSON content, a check that the folder is writable before a long computation, all files or none."""
+"""Output files: JSON content, a check that the folder is writable before a long computation, all files or none.
+
+Several files are put into their places by renaming them one after the other, which a killed process leaves half done. A journal is
+written before the first is renamed, when all are complete: whoever uses the folder next finishes what it says (`recover`).
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-import tempfile
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +18,9 @@ from typing import Any
 import numpy as np
 
 from bristle.common.errors import BristleError
+from bristle.common.work import JOURNAL, OURS, lock, sweep, unlock, work_folder
+
+NEW, BEFORE = "new", "old"  # in a work folder: what is to come, and what was there
 
 
 def plain(value: Any) -> Any:
@@ -46,10 +53,11 @@ def complain(folder: Path, error: OSError) -> BristleError:
 
 
 def check_writable(out: Path) -> None:
-    """Create the output folder and check that it is writable, before a long computation."""
+    """Create the output folder and check that it is writable, before a long computation; finish what a killed process began."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out, prefix=".bristle-try-"):
+        recover(out)
+        with work_folder(out):
             pass
     except OSError as error:
         raise complain(out, error) from None
@@ -115,39 +123,120 @@ def replace_files(out: Path, content: Mapping[str, bytes], names: Sequence[str])
         If the folder cannot be written or the disk is full; the folder is then as it was.
     """
     try:
-        with tempfile.TemporaryDirectory(dir=out, prefix=".bristle-", ignore_cleanup_errors=True) as work:
-            fresh, old = Path(work) / "new", Path(work) / "old"
-            fresh.mkdir()
-            old.mkdir()
+        recover(out)
+        with work_folder(out) as work:
+            for folder in (work / NEW, work / BEFORE):
+                folder.mkdir()
             for name, data in content.items():
-                (fresh / name).parent.mkdir(parents=True, exist_ok=True)
-                write_file(fresh / name, data)
-            _exchange(fresh, out, old, names)
+                (work / NEW / name).parent.mkdir(parents=True, exist_ok=True)
+                write_file(work / NEW / name, data)
+            _switch(work, out, names)
     except OSError as error:
         raise complain(out, error) from None
     return [out / name for name in names if name in content]
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Put one file in the place of an older one; raise `BristleError` as `replace_files`."""
-    replace_files(path.parent, {path.name: content}, [path.name])
+    """Put one file in the place of an older one; raise `BristleError` as `replace_files`.
+
+    What is no ordinary file, such as a pipe or ``/dev/stdout``, is written to.
+    """
+    if path.exists() and (not path.is_file() or path.is_relative_to("/dev")):
+        try:
+            with path.open("wb") as stream:
+                stream.write(content)
+        except OSError as error:
+            raise BristleError(f"{path}: {error.strerror}; give another file") from None
+    else:
+        replace_files(path.parent, {path.name: content}, [path.name])
 
 
-def _exchange(fresh: Path, out: Path, old: Path, names: Sequence[str]) -> None:
-    """Move the files of `out` that have these names into `old`, those of `fresh` into `out`; undo it if that fails."""
-    placed = []
+def replace_each(content: Mapping[Path, bytes]) -> None:
+    """Put files in the place of older ones: those of a folder all or none; raise `BristleError` as `replace_file`."""
+    folders: dict[Path, dict[str, bytes]] = {}
+    for path, data in content.items():
+        folders.setdefault(path.parent, {})[path.name] = data
+    for folder, files in folders.items():
+        if len(files) == 1 or any((folder / name).exists() and not (folder / name).is_file() for name in files):
+            for name, data in files.items():
+                replace_file(folder / name, data)
+        else:
+            replace_files(folder, files, list(files))
+
+
+def recover(out: Path) -> None:
+    """Finish what processes that were killed had begun to put into a folder, and sweep what else they left there."""
+    found = [path for path in out.iterdir() if OURS.fullmatch(path.name)]
+    if any((work / JOURNAL).exists() for work in found):
+        with _alone(out):
+            for work in (each for each in found if (each / JOURNAL).exists()):
+                fresh, gone = _journal(work)
+                _forward(work, out, fresh, gone)
+                (work / JOURNAL).unlink()
+                shutil.rmtree(work, ignore_errors=True)
+    sweep(out)
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Keep other processes from putting files into a folder, where the system can lock one."""
+    held = lock(out, wait=True)
     try:
-        for name in names:
-            if (out / name).exists():
-                (old / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(out / name, old / name)
-            if (fresh / name).exists():
-                (out / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(fresh / name, out / name)
-                placed.append(name)
-    except BaseException:
-        for name in placed:
-            os.unlink(out / name)
-        for path in (each for each in old.rglob("*") if each.is_file()):
-            os.replace(path, out / path.relative_to(old))
-        raise
+        yield
+    finally:
+        unlock(held)
+
+
+def _switch(work: Path, out: Path, names: Sequence[str]) -> None:
+    """Put all that `work` has made into `out`, and remove the rest of these names there; or, if that fails, change nothing."""
+    fresh = [name for name in names if (work / NEW / name).exists()]
+    gone = [name for name in names if name not in fresh]
+    if not gone and len(fresh) == 1 and not (work / NEW / fresh[0]).is_dir():
+        (out / fresh[0]).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(work / NEW / fresh[0], out / fresh[0])  # one step as it is
+        return
+    with _alone(out):
+        write_file(work / "draft", to_json({"new": fresh, "gone": gone}).encode())
+        os.replace(work / "draft", work / JOURNAL)
+        try:
+            _forward(work, out, fresh, gone)
+            (work / JOURNAL).unlink()
+        except BaseException:
+            _back(work, out, fresh, gone)
+            (work / JOURNAL).unlink(missing_ok=True)
+            raise
+
+
+def _journal(work: Path) -> tuple[list[str], list[str]]:
+    """Return the names of what is to be put into its place and of what is to go; both lie inside the folder."""
+    path = work / JOURNAL
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        fresh, gone = ([Path(name) for name in content[key]] for key in ("new", "gone"))
+    except (ValueError, TypeError, KeyError):
+        fresh, gone = [], [Path("..")]
+    if any(name.is_absolute() or ".." in name.parts for name in [*fresh, *gone]):
+        raise BristleError(f"{path}: is no journal of bristle; remove the folder {work}")
+    return [str(name) for name in fresh], [str(name) for name in gone]
+
+
+def _forward(work: Path, out: Path, fresh: Sequence[str], gone: Sequence[str]) -> None:
+    """Move what `out` has of these names into `work`, and what is fresh there into `out`; what is done already stays."""
+    for name in (*fresh, *gone):
+        if name in fresh and not (work / NEW / name).exists():
+            continue
+        if (out / name).exists():
+            (work / BEFORE / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(out / name, work / BEFORE / name)
+        if name in fresh:
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(work / NEW / name, out / name)
+
+
+def _back(work: Path, out: Path, fresh: Sequence[str], gone: Sequence[str]) -> None:
+    """Undo `_forward`, however far it came; each step leaves what `recover` can finish."""
+    for name in (*fresh, *gone):
+        if name in fresh and not (work / NEW / name).exists():
+            os.replace(out / name, work / NEW / name)
+        if (work / BEFORE / name).exists():
+            os.replace(work / BEFORE / name, out / name)

@@ -7,7 +7,6 @@ import ctypes
 import hashlib
 import math
 import re
-import tempfile
 import threading
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +18,7 @@ from typing import Any
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.units import interval, parse_unit, quantity
+from bristle.common.work import TemporaryFolder
 from bristle.fmus.calls import WATCH, Call
 
 Value = float | int | bool | str
@@ -311,7 +311,7 @@ class Slave:
     def __init__(self, fmu: Fmu, name: str, beside: Slave | None = None) -> None:
         self.fmu, self.name = fmu, name
         # removed at the interpreter's end even if an interrupt comes before `close` can be called
-        self._temporary = tempfile.TemporaryDirectory(prefix="bristle-fmu-", ignore_cleanup_errors=True)
+        self._temporary = TemporaryFolder("fmu")
         self._folder: str = self._temporary.name if beside is None else beside._folder
         self.instance: Any = None
         try:

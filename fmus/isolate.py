@@ -12,7 +12,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from typing import IO, Any, TypeVar
 import numpy as np
 
 from bristle.common.errors import BristleError
+from bristle.common.work import TemporaryFolder
 from bristle.fmus.answer import NOT_ASKED, read_answer
 from bristle.fmus.calls import CONTROL_SIZE, Call, Control
 
@@ -65,7 +65,7 @@ def isolated(
     BristleError
         If the child process crashes or takes too long, or the work raises an error.
     """
-    with tempfile.TemporaryDirectory(prefix="bristle-run-", ignore_cleanup_errors=True) as folder:
+    with TemporaryFolder("run") as folder:
         place = Path(folder)
         (place / "work.pkl").write_bytes(pickle.dumps((work, argument, list(fmus))))
         control = np.memmap(place / "control", dtype=np.int64, mode="w+", shape=(CONTROL_SIZE,))

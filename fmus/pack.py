@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import io
 import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
 from bristle.common.errors import BristleError
+from bristle.common.work import work_folder
 
 ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # time stamp of all files: the earliest one of the ZIP format
 ARCHIVE_PERMISSIONS = 0o100644 << 16
@@ -41,8 +41,8 @@ def write_archive(out: Path, files: Mapping[str, bytes]) -> Path:
         If it cannot be written; `out` is then as it was.
     """
     try:
-        with tempfile.TemporaryDirectory(dir=out.parent, prefix=".making-") as folder:
-            fresh = Path(folder) / out.name
+        with work_folder(out.parent) as folder:
+            fresh = folder / out.name
             _fill(fresh, files)
             os.replace(fresh, out)
     except OSError as error:

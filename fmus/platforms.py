@@ -8,12 +8,12 @@ from __future__ import annotations
 import platform
 import struct
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.work import TemporaryFolder
 from bristle.model.compiler import HOST, Target, compile_shared
 
 MACHINES = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
@@ -106,7 +106,7 @@ def binaries(name: str, sources: Mapping[str, str], fmi: int, chosen: Sequence[P
 
 
 def _compiled(name: str, sources: Mapping[str, str], target: Target) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="bristle-") as folder:
+    with TemporaryFolder("library") as folder:
         library = Path(folder) / f"{name}{target.suffix}"
         compile_shared(sources, library, target)
         return library.read_bytes()

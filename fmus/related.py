@@ -8,7 +8,6 @@ Source: lsref2026, experiments2026.
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from bristle.common.errors import BristleError
 from bristle.common.parameter_set import Value, parameter_set
 from bristle.common.signals import table_text
+from bristle.common.work import TemporaryFolder
 from bristle.common.xml import document
 from bristle.fmus.documentation import PAGE_STYLE
 from bristle.fmus.host import Fmu
@@ -91,7 +91,7 @@ def related_files(
     report : mapping of str to bytes, optional
         Reports to add, file name -> bytes.
     """
-    with tempfile.TemporaryDirectory(prefix="bristle-related-") as folder:
+    with TemporaryFolder("related") as folder:
         path = Path(folder) / "made.fmu"
         path.write_bytes(archive_bytes(content))
         fmu = Fmu(path)

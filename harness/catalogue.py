@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.output import output_folder
+from bristle.common.output import output_folder, replace_files
 from bristle.common.plugins import plugin_files
 from bristle.common.toml import read_toml
+from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu
 
 
@@ -83,12 +84,35 @@ class Choice:
     platforms: str = "host"
 
 
-def build_file(what: str, out: Path, *, fmi: int, kind: str, choice: Choice) -> Path:
-    """Build an FMU into the folder `out`, named after what it is."""
+def build_files(
+    choices: Mapping[str, Choice], out: Path, *, fmi: int, kind: str, tell: Callable[[str, float], None] = lambda text, share: None
+) -> list[Path]:
+    """Build FMUs into the folder `out`, named after what they are: all or none.
+
+    Parameters
+    ----------
+    choices : mapping of str to Choice
+        By what is built: plant, observer, controller.
+    out : Path
+        The folder; created if it is missing.
+    fmi, kind : int, str
+        As of `bristle.fmus.build`.
+    tell : function, optional
+        Called with what is built next and the share that is done.
+
+    Raises
+    ------
+    BristleError
+        As of `bristle.fmus.build`; the folder is then as it was.
+    """
     from bristle.fmus import build
 
     names = {"plant": "ServoPlant", "observer": "AdaptiveObserver", "controller": "Controller"}
-    variant = choice.law or choice.method
-    stem = "_".join([names.get(what, what), *([variant] if variant else []), *sorted(choice.effects)])
-    with output_folder(out):
-        return build(what, out / f"{stem}.fmu", fmi=fmi, kind=kind, **vars(choice))
+    with output_folder(out), TemporaryFolder("build") as folder:
+        made: list[Path] = []
+        for what, choice in choices.items():
+            variant = choice.law or choice.method
+            stem = "_".join([names.get(what, what), *([variant] if variant else []), *sorted(choice.effects)])
+            tell(f"building {stem}", len(made) / len(choices))
+            made.append(build(what, Path(folder) / f"{stem}.fmu", fmi=fmi, kind=kind, **vars(choice)))
+        return replace_files(out, {path.name: path.read_bytes() for path in made}, [path.name for path in made])

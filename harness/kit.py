@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from html import escape
@@ -17,6 +16,7 @@ from bristle.common.html import badge, identifier, page
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.common.signals import table_text
+from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu, Value
 from bristle.fmus.pack import archive_bytes
 from bristle.fmus.related import Experiment, related_files
@@ -98,7 +98,7 @@ def export(path: Path, out: Path, options: Options | None = None, platforms: str
             raise setup.loaded.error(
                 "controller.compensation", None, "estimates that reach the controller are not exported; write none"
             )
-        with tempfile.TemporaryDirectory(prefix="bristle-kit-") as folder:
+        with TemporaryFolder("kit") as folder:
             fmus = {name: _own_fmu(setup, name, Path(folder), platforms) for name in setup.fmus}
             if setup.stimuli and not _tabulated(setup):
                 fmus[STIMULI] = _source_fmu(setup, Path(folder), platforms)
@@ -257,7 +257,7 @@ def replay(path: Path, out: Path, timeout: float | None = None, progress: Callab
         One line, if it cannot be run.
     """
     package = Package(path)
-    with output_folder(out), tempfile.TemporaryDirectory(prefix="bristle-kit-") as folder:
+    with output_folder(out), TemporaryFolder("kit") as folder:
         results.refuse_strange(out / path.stem)
         bus = _replay_bus(package, Path(folder))
         trace = simulate_isolated(bus, None if progress is None else lambda done: progress(done, bus.steps), timeout=timeout)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import math
 import shlex
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,6 +21,7 @@ from bristle.common.drawing import thin
 from bristle.common.output import check_no_folder, output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.common.units import quantity
+from bristle.common.work import TemporaryFolder
 from bristle.fmus.host import Fmu
 from bristle.harness.catalogue import find_scenario
 from bristle.harness.fit import Data
@@ -185,7 +185,7 @@ def _run(path: Path, overrides: Sequence[str], say: Callable[[str], None] = lamb
     def stage(name: str, _done: int, _total: int) -> None:
         say(f"{path.stem}: {name}")
 
-    with tempfile.TemporaryDirectory(prefix="bristle-") as folder:  # checked for its place, never written
+    with TemporaryFolder("check") as folder:  # checked for its place, never written
         checked = check(path, Path(folder), Options(overrides=overrides), stage)
         return checked, outcome(checked, stage)
 

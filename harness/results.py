@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.common.output import complain, write_file
+from bristle.common.output import complain, replace_files
 from bristle.common.signals import table_text
 
 RESULT_SUFFIXES = {".json", ".csv", ".html", ".svg"}  # of the files in a result folder
@@ -48,24 +46,8 @@ def write(out: Path, name: str, files: Mapping[str, str | bytes]) -> Path:
     refuse_strange(target)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out, prefix=f".{name}-", ignore_cleanup_errors=True) as work:
-            fresh, old = Path(work) / "new", Path(work) / "old"
-            fresh.mkdir()
-            for file, content in files.items():
-                write_file(fresh / file, content.encode() if isinstance(content, str) else content)
-            _exchange(fresh, target, old)
     except OSError as error:
         raise complain(out, error) from None
+    content = {f"{name}/{file}": each.encode() if isinstance(each, str) else each for file, each in files.items()}
+    replace_files(out, content, [name])
     return target
-
-
-def _exchange(fresh: Path, target: Path, old: Path) -> None:
-    """Put `fresh` in the place of `target`; put the old one back if that fails."""
-    if target.exists():
-        os.replace(target, old)
-    try:
-        os.replace(fresh, target)
-    except BaseException:
-        if old.exists() and not target.exists():
-            os.replace(old, target)
-        raise

@@ -7,6 +7,7 @@ import math
 import multiprocessing
 import signal
 import statistics
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -129,7 +130,8 @@ def run_suite(
         return [_told(run_case(case, out, options), k, len(cases), tell) for k, case in enumerate(cases, 1)]
     found: dict[Case, CaseResult] = {}
     with _workers(min(jobs, len(cases))) as pool:
-        waiting: dict[Future[CaseResult], Case] = {pool.submit(run_case, case, out, options): case for case in cases}
+        with _uninterrupted():  # the processes, which begin here, inherit it
+            waiting: dict[Future[CaseResult], Case] = {pool.submit(run_case, case, out, options): case for case in cases}
         for k, future in enumerate(as_completed(waiting), 1):
             case = waiting[future]
             found[case] = _told(_result(future, case), k, len(cases), tell)
@@ -237,6 +239,19 @@ def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
             child.terminate()
         raise
     pool.shutdown()
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Keep interrupts until the end of the context, where the system can."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _ignore_interrupts() -> None:

@@ -27,6 +27,8 @@ FLAGS = (
 )  # fmt: skip
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
 TIMEOUT = 600  # s, of one compilation; the first one with zig takes a minute
+# Shell: become the command, beside a process that ends the group of both when the standard input ends, with whoever holds it.
+WATCHED = 'exec 3<&0 </dev/null; { read -r _ <&3; kill -KILL 0; } >/dev/null 2>&1 & exec "$@" 3<&-'
 
 
 @dataclass(frozen=True)
@@ -129,14 +131,32 @@ def _compiler(triple: str, arguments: Sequence[str], folder: Path) -> None:
     name = "zig" if "ziglang" in found else found[0]
     command = [*found, *arguments]
     try:
-        done = subprocess.run(
-            command, cwd=folder, env=_environment(folder), capture_output=True, text=True, check=False, timeout=TIMEOUT
-        )
+        done = _run(command, folder)
     except subprocess.TimeoutExpired:
         raise BristleError(f"C compiler {name} did not end within {TIMEOUT} s; check the compiler or set CC") from None
     if done.returncode != 0:
         complaint = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip() or "no message")
         raise BristleError(f"C compiler {name} failed: {complaint.strip()}; check the compiler or set CC")
+
+
+def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder; where there is a shell, whatever it starts ends with this process, even if that is killed."""
+    environment = _environment(folder)
+    if sys.platform == "win32":
+        return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+    watched, held = os.pipe()
+    try:
+        with subprocess.Popen(
+            ["/bin/sh", "-c", WATCHED, "sh", *command], stdin=watched, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            cwd=folder, env=environment, start_new_session=True,
+        ) as process:  # fmt: skip
+            try:
+                said, complained = process.communicate(timeout=TIMEOUT)
+            finally:
+                os.close(held)
+        return subprocess.CompletedProcess(command, process.returncode, said, complained)
+    finally:
+        os.close(watched)
 
 
 @contextmanager

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bristle.common.arguments import as_choice, as_names, as_path, as_paths, as_whole_number
 from bristle.common.errors import BristleError
-from bristle.result import Reproduction, Result
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from bristle.diagnosis import Diagnosis, Model, Record, Validation
+    from bristle.result import Reproduction, Result
 
     __version__: str
 
@@ -39,9 +39,10 @@ PARTS = ("plant", "observer", "controller")  # FMUs that can be built
 KINDS: tuple[Literal["native", "python"], ...] = ("native", "python")  # of FMUs
 FMI_VERSIONS = (2, 3)
 
-_LATER = {
-    name: "bristle.diagnosis" for name in ("Diagnosis", "Model", "Record", "Validation")
-}  # class: where it is when it is asked for
+_LATER = {  # class: where it is when it is asked for
+    "Diagnosis": "bristle.diagnosis", "Model": "bristle.diagnosis", "Record": "bristle.diagnosis",
+    "Validation": "bristle.diagnosis", "Reproduction": "bristle.result", "Result": "bristle.result",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -102,6 +103,7 @@ def run(
     from bristle.harness.catalogue import find_scenario
     from bristle.harness.run import Options
     from bristle.harness.run import run as run_scenario
+    from bristle.result import Result
 
     path, folder = find_scenario(as_path("scenario", scenario)), as_path("out", out)
     chosen = seed if seed is None else as_whole_number("seed", seed)
@@ -131,6 +133,7 @@ def reproduce(out: PathLike = "out", *, progress: Callable[[str, float], None] |
         If an FMU cannot be built or the folder cannot be written. Nothing is written then.
     """
     from bristle.harness.reproduce import reproduce as make
+    from bristle.result import Reproduction
 
     folder = as_path("out", out)
     return Reproduction(make(folder, progress), folder)
@@ -201,13 +204,11 @@ def build(
         If there is no such part, law, method, effect or platform, an effect cannot join the law, there is no compiler, or the
         folder cannot be written.
     """
-    from bristle.harness.catalogue import Choice, build_file
+    from bristle.harness.catalogue import Choice, build_files
 
-    return build_file(
-        as_choice("part", part, PARTS), as_path("out", out),
-        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS),
-        choice=Choice(law, method, as_names("effects", effects), encoder, platforms),
-    )  # fmt: skip
+    choice = Choice(law, method, as_names("effects", effects), encoder, platforms)
+    fmi, kind = as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS)
+    return build_files({as_choice("part", part, PARTS): choice}, as_path("out", out), fmi=fmi, kind=kind)[0]
 
 
 def diagnose(

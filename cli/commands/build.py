@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bristle.cli.app import DebugOption, Fmi, FmiOption, Kind, KindOption, app, path_of
+from bristle.cli.terminal import fraction
 
 if TYPE_CHECKING:
     pass
@@ -41,7 +42,7 @@ def build(
     debug: DebugOption = False,
 ) -> None:
     """Build FMUs."""
-    from bristle.harness.catalogue import Choice, build_file
+    from bristle.harness.catalogue import Choice, build_files
 
     added = tuple(name.strip() for names in effects or () for name in names.split(","))
     asked = Choice(law, method, added, encoder, platforms)
@@ -49,5 +50,6 @@ def build(
     if what is What.all:
         plant, observer = replace(asked, method=None), replace(asked, law=None, effects=(), encoder=True)
         choices = {"plant": plant, "observer": observer, "controller": Choice(platforms=platforms)}
-    for part, choice in choices.items():
-        print(build_file(part, out, fmi=int(fmi.value), kind=kind.value, choice=choice))
+    with fraction("build") as tell:
+        made = build_files(choices, out, fmi=int(fmi.value), kind=kind.value, tell=tell)
+    print("\n".join(map(str, made)))

@@ -24,7 +24,7 @@ def check(
     debug: DebugOption = False,
 ) -> int:
     """Say which points of the FMI standard and of good conduct an FMU breaks."""
-    from bristle.common.output import check_not_replaced, replace_file, to_json
+    from bristle.common.output import check_not_replaced, replace_each, to_json
     from bristle.fmus import conformance
 
     files = [file for file in (json, junit, sarif) if file is not None]
@@ -34,11 +34,8 @@ def check(
         results = conformance.conformance(fmu, tell)
     failed = (conformance.Verdict.failed, conformance.Verdict.not_tested)
     print("\n".join(conformance.to_lines(results)))
-    if json is not None:
-        replace_file(json, to_json(conformance.to_tree(fmu, results)).encode())
-    if junit is not None:
-        replace_file(junit, conformance.junit(fmu, results))
-    if sarif is not None:
-        replace_file(sarif, to_json(conformance.sarif(fmu, results)).encode())
+    written = {json: to_json(conformance.to_tree(fmu, results)).encode(), junit: conformance.junit(fmu, results)}
+    written[sarif] = to_json(conformance.sarif(fmu, results)).encode()
+    replace_each({path: content for path, content in written.items() if path is not None})
     serious = [r for r in results if r.verdict in failed and r.point.severity is not conformance.Severity.note]
     return FAIL if serious else PASS

@@ -42,7 +42,7 @@ def suite(
     debug: DebugOption = False,
 ) -> int:
     """Run scenarios with all seeds and values; FOLDER/index.html links to the report of each run."""
-    from bristle.common.output import output_folder, replace_file, replace_files, to_json
+    from bristle.common.output import output_folder, replace_each, replace_files, to_json
     from bristle.common.provenance import provenance
     from bristle.harness.run import Options
     from bristle.harness.suite import find_cases, run_suite
@@ -64,9 +64,8 @@ def suite(
         tree = to_json(to_tree(tested, origin)).encode()
         content = {"suite.json": tree, "index.html": render(tested, origin).encode()}
         replace_files(out, content, list(content))
-        for path, text in ((json, tree), (junit, to_junit(tested))):
-            if path is not None:
-                replace_file(path, text)
+        reports = {json: tree, junit: to_junit(tested)}
+        replace_each({path: text for path, text in reports.items() if path is not None})
     _print(tested, quiet, out)
     verdicts = {each.verdict for each in tested}
     return ERROR if "error" in verdicts else FAIL if "fail" in verdicts else PASS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,6 +14,7 @@ import numpy as np
 from bristle.common.errors import BristleError, IncompleteError
 from bristle.common.output import check_no_folder, check_not_replaced, check_writable, replace_files, to_json
 from bristle.common.provenance import provenance
+from bristle.common.work import TemporaryFolder
 from bristle.diagnosis.modelfile import Model, model_text
 from bristle.diagnosis.report.correction import correction_program, refusal
 from bristle.diagnosis.report.figures import draw
@@ -239,7 +239,7 @@ def _build_correction(names: list[str], augmented: Augmented, out: Path, fmi: in
 
 
 def _made(make: Callable[[Path], None]) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="bristle-") as folder:
+    with TemporaryFolder("made") as folder:
         out = Path(folder) / "made.fmu"
         make(out)
         return out.read_bytes()

@@ -316,7 +316,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(
         build("plant", tmp_path / "foreign.fmu", law="modified")
     environment = {**os.environ, "TMPDIR": str(temporary)}
     running = subprocess.Popen(command(["run", case, "--out", out, *long]), stderr=subprocess.PIPE, text=True, env=environment)
-    prefix, count = {"simulation": ("bristle-fmu-", 3), "fits": ("bristle-fmu-", 2), "child": ("bristle-run-", 1)}[stage]
+    prefix, count = {"simulation": (".bristle-fmu-", 3), "fits": (".bristle-fmu-", 2), "child": (".bristle-run-", 1)}[stage]
     _wait_for(lambda: sum(name.startswith(prefix) for name in os.listdir(temporary)) == count, running)
     if stage == "fits":  # the drives come after the co-simulation's three
         _wait_for(lambda: len(os.listdir(temporary)) == 2, running)

@@ -52,7 +52,7 @@ def test_a_full_disk_keeps_the_old_result(tmp_path: Path, monkeypatch: pytest.Mo
     def full(_descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(results.os, "fsync", full)
+    monkeypatch.setattr(output.os, "fsync", full)
     line = message(lambda: results.write(tmp_path, "case", FILES))
     assert "No space left" in line
     assert str(tmp_path) in line
@@ -60,20 +60,21 @@ def test_a_full_disk_keeps_the_old_result(tmp_path: Path, monkeypatch: pytest.Mo
     assert (tmp_path / "case" / "old.csv").read_text() == "old"
 
 
+@pytest.mark.parametrize("call", range(1, 4))
 @pytest.mark.parametrize("error", [OSError(errno.EACCES, "Permission denied"), KeyboardInterrupt()])
 def test_an_exchange_that_fails_puts_the_old_result_back(
-    error: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    error: BaseException, call: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     results.write(tmp_path, "case", {"result.json": "{}", "old.csv": "old"})
     real, calls = os.replace, []
 
     def replace(source: Path, target: Path) -> None:
         calls.append(target)
-        if len(calls) == 2:
+        if len(calls) == call:
             raise error
         real(source, target)
 
-    monkeypatch.setattr(results.os, "replace", replace)
+    monkeypatch.setattr(output.os, "replace", replace)
     with pytest.raises((ValueError, KeyboardInterrupt)):
         results.write(tmp_path, "case", FILES)
     assert names(tmp_path) == ["case"]

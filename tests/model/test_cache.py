@@ -8,8 +8,9 @@ import time
 
 import pytest
 
-from bristle.common import cache
+from bristle.common import cache, work
 from bristle.common.cache import cached
+from bristle.common.work import OLD
 from bristle.model.compiler import SUFFIX, compile_shared
 
 
@@ -66,11 +67,12 @@ def test_what_fails_leaves_nothing_and_what_was_left_is_swept_when_it_is_old(fol
     with pytest.raises(ValueError, match="No space left"):
         cached("thing", fails)
     assert not list(folder.glob("thing"))
-    for name, age in ((".making-old", 2 * cache.OLD), (".making-new", 0.0)):
+    for name, age in ((".bristle-old00000", 2 * OLD), (".bristle-new00000", 0.0)):
         (folder / name).mkdir()
         os.utime(folder / name, (time.time() - age,) * 2)
+    work._swept.clear()  # as another process begins
     cached("thing", maker([]))
-    assert [path.name for path in folder.glob(".making-*")] == [".making-new"]
+    assert [path.name for path in folder.glob(".bristle-*")] == [".bristle-new00000"]
 
 
 def test_a_library_that_was_cut_does_not_kill_the_next_process(folder, tmp_path):

@@ -29,12 +29,12 @@ def wrong_unit(tmp_path: Path) -> Path:
 
 
 def test_the_import_is_light():
-    """Nothing but exceptions, checks of arguments and the result class is imported before it is needed."""
+    """Nothing but exceptions and checks of arguments is imported before it is needed."""
     code = "import sys; before = {*sys.modules}; import bristle; print(*sorted({*sys.modules} - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = done.stdout.split()
     own = {name for name in loaded if name.split(".")[0] == "bristle"}
-    assert own == {"bristle", "bristle.common", "bristle.common.arguments", "bristle.common.errors", "bristle.result"}
+    assert own == {"bristle", "bristle.common", "bristle.common.arguments", "bristle.common.errors"}
     assert not {"numpy", "scipy", "casadi", "fmpy", "matplotlib", "pydantic"} & {*loaded}
     assert len(loaded) < 60
 

@@ -1,0 +1,207 @@
+"""Commands that are killed at random instants: nothing reported done is lost, no wrong digit after, no litter older than a day.
+
+python benchmarks/kill.py > benchmarks/results/kill.md
+
+Each command is killed (SIGKILL) so and so many times, at an instant drawn evenly from its usual duration and a tenth more. Whatever
+it said to be done before it died must be there. What the next command finds in the result folder (it finishes what was begun) must
+be the old result or the new one, complete; it must end well, with the digits of a command that was never killed. All work in
+progress that is left is made two days old before that, and the next command must remove it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bristle.common.output import check_writable
+from bristle.common.work import OLD
+
+ROOT = Path(__file__).resolve().parents[1]
+OF_THE_CALL = {"wall_s", "seconds", "date", "command", "times_s", "timing"}  # keys of results that no two calls have in common
+MARGIN = 1.1  # the latest instant, as a share of the usual duration
+SAMPLES = 4000  # of the record that is diagnosed
+SEED = 20
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command to kill.
+
+    Attributes
+    ----------
+    name : str
+        As the table names it.
+    arguments : tuple of str
+        Of `bristle`; results go into the folder `out` of the working directory.
+    kills : int
+        How often it is killed.
+    empty_cache : bool
+        Whether each begins with an empty cache of compiled files.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    kills: int
+    empty_cache: bool = False
+
+
+COMMANDS = (
+    Command("run", ("run", "case.toml", "--out", "out"), 110),
+    Command("diagnose", ("diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"), 30),
+    Command("build, empty cache", ("build", "controller", "--out", "out"), 60, empty_cache=True),
+)
+SCENARIO = """
+duration = "5 s"
+[plant]
+law = "modified"
+[observer]
+method = "rls"
+[[checks]]
+quantity = "estimates.b.moved_percent"
+min = 1
+"""
+HEAD = f"""# Commands that are killed
+
+Each command was killed (SIGKILL) at instants drawn evenly from its usual duration and a tenth more. "Old" and "new" say which
+result was in the folder afterwards, complete; the next command then had to give the digits of one that was never killed. "Done"
+says how often the command had said before that its result was written. All work in progress that was left was made two days old;
+the next command had to remove it. The record that is diagnosed has {SAMPLES} samples. Made by
+`python benchmarks/kill.py > benchmarks/results/kill.md`
+
+| command | usual duration, s | kills | done | old | new | neither | done and lost | wrong digits after | litter older than a day |
+|---|---|---|---|---|---|---|---|---|---|"""
+
+
+def without(tree: Any) -> Any:
+    """Return the content of a JSON file without what no two calls have in common."""
+    if isinstance(tree, dict):
+        return {key: without(value) for key, value in tree.items() if key not in OF_THE_CALL}
+    return [without(each) for each in tree] if isinstance(tree, list) else tree
+
+
+def content(folder: Path) -> dict[str, Any]:
+    """Return what is in a result folder, as far as two calls have it in common: of a page whether it is complete."""
+    found: dict[str, Any] = {}
+    for path in sorted(folder.rglob("*") if folder.exists() else ()):
+        if path.is_file() and ".bristle-" not in str(path):
+            data, name = path.read_bytes(), path.relative_to(folder).as_posix()
+            if path.suffix == ".json":
+                found[name] = without(json.loads(data))
+            else:
+                found[name] = data.rstrip().endswith(b"</html>") if path.suffix == ".html" else data
+    return found
+
+
+class Place:
+    """A folder in which a command runs, with its own cache and its own folder for temporary files."""
+
+    def __init__(self, folder: Path, command: Command) -> None:
+        self.folder, self.command, self.cache = folder, command, folder / "cache"
+        (folder / "tmp").mkdir()
+        (folder / "case.toml").write_text(SCENARIO, encoding="utf-8")
+        hidden = ROOT / "scenarios" / "hidden" / "07"
+        shutil.copy(hidden / "model.toml", folder)
+        with np.load(hidden / "a.npz") as record:
+            np.savez(folder / "a.npz", **{name: values[:SAMPLES] for name, values in record.items()})
+
+    def start(self) -> subprocess.Popen[str]:
+        """Start the command."""
+        environment = {**os.environ, "TMPDIR": str(self.folder / "tmp")}
+        if self.command.empty_cache:
+            environment["BRISTLE_CACHE"] = str(self.cache)
+        return subprocess.Popen(
+            [sys.executable, "-m", "bristle", *self.command.arguments], cwd=self.folder, env=environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+
+    def whole(self) -> dict[str, Any]:
+        """Run the command to its end and return what it wrote."""
+        said, complained = (process := self.start()).communicate()
+        if process.returncode != 0:
+            raise SystemExit(f"{self.command.name}: exit code {process.returncode}: {said}{complained}")
+        return content(self.folder / "out")
+
+    def reset(self, old: Path) -> None:
+        """Put the old result back, and empty the cache if the command begins so."""
+        shutil.rmtree(self.folder / "out", ignore_errors=True)
+        shutil.copytree(old, self.folder / "out")
+        if self.command.empty_cache:
+            shutil.rmtree(self.cache, ignore_errors=True)
+
+    def left(self, age: float = 0.0) -> list[Path]:
+        """Return what is left of work in progress; it becomes older by `age` in s."""
+        found = list(self.folder.rglob(".bristle-*"))
+        for path in found if age else ():
+            os.utime(path, (time.time() - age,) * 2)
+        return found
+
+
+def older(place: Place) -> Path:
+    """Make an old result, which no new one equals: without its last files, the rest changed."""
+    old = Path(shutil.copytree(place.folder / "out", place.folder / "old"))
+    files = sorted(path for path in old.rglob("*") if path.is_file())
+    for path in files:
+        if path.suffix == ".json":
+            path.write_text(json.dumps(json.loads(path.read_text()) | {"notes": ["old"]}), encoding="utf-8")
+        elif path.suffix in (".fmu", ".toml", ".csv"):
+            path.write_bytes(b"old")
+    return old
+
+
+def row(command: Command, share: float, chance: random.Random) -> str:
+    """Kill a command and return its row of the table."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Place(Path(name), command)
+        place.whole()  # fills the cache, or makes the old result
+        if command.empty_cache:
+            shutil.rmtree(place.cache)
+        begin = time.perf_counter()
+        new, usual = place.whole(), time.perf_counter() - begin
+        old = older(place)
+        before = content(old)
+        count = dict.fromkeys(("done", "old", "new", "neither", "lost", "wrong", "litter"), 0)
+        kills = max(1, round(share * command.kills))
+        for k in range(kills):
+            print(f"{command.name}: {k} of {kills}", end="\r", file=sys.stderr, flush=True)
+            place.reset(old)
+            process = place.start()
+            time.sleep(chance.uniform(0.0, MARGIN * usual))
+            process.send_signal(signal.SIGKILL)
+            said = process.communicate()[0]
+            check_writable(place.folder / "out")
+            found = content(place.folder / "out")
+            state = "new" if found == new else "old" if found == before else "neither"
+            count[state] += 1
+            count["done"] += bool(said)
+            count["lost"] += bool(said) and state != "new"
+            place.left(2 * OLD)
+            count["wrong"] += place.whole() != new
+            count["litter"] += bool(place.left())
+        figures = [f"{usual:.1f}", str(kills), *(str(count[key]) for key in count)]
+    return f"| `{command.arguments[0]}`{command.name.removeprefix(command.arguments[0])} | {' | '.join(figures)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--share", type=float, default=1.0, help="of the kills, for a quick look")
+    share, chance = parser.parse_args().share, random.Random(SEED)
+    print(HEAD)
+    for command in COMMANDS:
+        print(row(command, share, chance), flush=True)
+
+
+if __name__ == "__main__":
+    main()
