@@ -12,7 +12,7 @@ import warnings
 
 import bristle.cli.commands  # noqa: F401  # the application then has them
 from bristle.cli.app import ERROR, PASS, app
-from bristle.cli.terminal import Interrupted, complain, interrupt, show_warning
+from bristle.cli.terminal import Interrupted, complain, interrupt, show_log, show_warning
 
 
 def main() -> None:
@@ -23,6 +23,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
     warnings.showwarning = show_warning
+    show_log()
     try:
         code = app(standalone_mode=False)
     except (Exception, Interrupted) as error:

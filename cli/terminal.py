@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import re
 import shlex
 import signal
@@ -31,6 +32,23 @@ class Interrupted(BaseException):
 def say(line: str) -> None:
     """Print one line, whatever it holds, to the error output."""
     print(" ".join(line.split()), file=sys.stderr, flush=True)
+
+
+class Lines(logging.Handler):
+    """Prints what the library logs, one line each, to the error output."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        say(f"bristle: {record.getMessage()}")
+
+
+_lines = Lines()
+
+
+def show_log() -> None:
+    """Let the library say what it logs: what is left out, and what takes long."""
+    logger = logging.getLogger("bristle")
+    logger.addHandler(_lines)
+    logger.setLevel(logging.INFO)
 
 
 def complain(error: BaseException, debug: bool) -> None:
