@@ -148,7 +148,9 @@ def _key(packages: Sequence[str | bytes], kind: str, *arguments: object) -> str:
     """Return the hash of all that an FMU is made from; `packages`: the code of the installed packages among it."""
     plugins = [part for each in HASHED_PLUGINS for path in plugin_files(each, ".py") for part in (str(path), path.read_bytes())]
     made_by = (*FLAGS, compiler_identity()) if kind == "native" else ()
-    return digest(SOURCES, *plugins, *packages, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments)))
+    return digest(
+        SOURCES, *plugins, *packages, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments))
+    )
 
 
 def is_packaged(what: str, variant: str) -> bool:
@@ -191,12 +193,22 @@ def obtain(
     """
     variant = _check(what, fmi, kind, law, method, effects)
     parts = [("effects", effect) for effect in sorted(effects)] + ([(VARIANT_KIND[what], variant)] if variant else [])
-    key = _key([code for part in parts for code in code_offered(*part)], kind, what, fmi, variant, encoder, *sorted(effects), *sorted((parameters or {}).items()))
+    key = _key(
+        [code for part in parts for code in code_offered(*part)],
+        kind,
+        what,
+        fmi,
+        variant,
+        encoder,
+        *sorted(effects),
+        *sorted((parameters or {}).items()),
+    )
     name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
         if kind == "native":
-            logging.getLogger("bristle").info("compiling the %s FMU once; later runs take it from the cache", variant or what)
+            which = ", ".join([what, *([variant] if variant else []), *sorted(effects)])
+            logging.getLogger("bristle").info("compiling an FMU (%s) once; later runs take it from the cache", which)
         build(
             what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, encoder=encoder, parameters=parameters,
             related=nothing,

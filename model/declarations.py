@@ -108,17 +108,16 @@ def packaged_declaration(
         One line that names the package.
     """
     if name in own:
-        raise BristleError(
-            f"{packages_of(folder, name)}: {attribute} is called '{name}', as one that bristle has already; give it a name of its own"
-        )
+        title = packages_of(folder, name)
+        raise BristleError(f"{title}: {attribute} is called '{name}', as one that bristle has already; give it a name of its own")
     value, file = load_offered(folder, name)
     part = value if isinstance(value, kind) else getattr(value, attribute, None)
     if not isinstance(part, kind):
         raise BristleError(f"{file}: no {attribute} that is a {kind.__name__}; declare one, or correct the entry point '{name}'")
     with _naming(file, attribute):
-        _check(part)
         if part.name != name:
             raise BristleError(f"declares '{part.name}', its entry point is called '{name}'; give both the same name")
+        _check(part)
         _check_sources(part, source_keys() | _keys(Path(file.rpartition(": ")[2]).parent))
         if more is not None:
             more(part, {**own, name: part})
@@ -132,7 +131,7 @@ def packaged_declarations(
     own: Mapping[str, P],
     more: Callable[[Any, Mapping[str, P]], None] | None = None,
 ) -> dict[str, P]:
-    """Return by name what installed packages declare, arguments as of `packaged_declaration`; a warning tells which are left out."""
+    """Return by name what installed packages declare (see `packaged_declaration`); a warning tells what is left out."""
     found = {}
     for name in offered(folder):
         try:
@@ -192,7 +191,9 @@ def _check_sources(part: Part, known: frozenset[str]) -> None:
         unknown = [key for key in keys if key not in known]
         if unknown or not keys:
             said = f"'{unknown[0]}' is no key{suggest(unknown[0], sorted(known))}" if unknown else "names no key"
-            remedy = "correct it, or add an entry to a references.bib in the folder of the plug-ins, or beside the module of a package"
+            remedy = (
+                "correct it, or add an entry to a references.bib in the folder of the plug-ins, or beside the module of a package"
+            )
             raise BristleError(f"{where}source '{source}': {said} of references.bib; {remedy}")
 
 

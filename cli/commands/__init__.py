@@ -11,6 +11,7 @@ for _name in (
     "coupling",
     "reproduce",
     "schema",
+    "new",
     "init",
     "diagnose",
     "validate",

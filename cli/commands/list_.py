@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @app.command("list", short_help="List friction laws, observers, effects and scenarios.")
 def list_command() -> None:
-    """List friction laws, observer methods, effects and scenarios: those of bristle, of plug-in folders and of installed packages."""
+    """List friction laws, observer methods, effects and scenarios, also those of plug-in folders and installed packages."""
     from bristle.harness.catalogue import scenarios
     from bristle.observer import methods
     from bristle.plant.effects import effects
