@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 DID_YOU_MEAN = re.compile(r"\. Did you mean (.*\?)$")  # how the option parser proposes a command
 SECONDS_BETWEEN_LINES = 5.0  # s, of progress where there is no terminal for a bar
+LEAST_TOLD = logging.INFO  # level of what the library logs from which it is printed
 LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
 
 
@@ -48,7 +49,7 @@ def show_log() -> None:
     """Let the library say what it logs: what is left out, and what takes long."""
     logger = logging.getLogger("bristle")
     logger.addHandler(_lines)
-    logger.setLevel(logging.INFO)
+    logger.setLevel(LEAST_TOLD)
 
 
 def complain(error: BaseException, debug: bool) -> None:

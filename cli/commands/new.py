@@ -22,7 +22,7 @@ class NewKind(StrEnum):
 
 
 @app.command(
-    short_help="Write a new scenario, or a package of an observer, a law or an effect.",
+    short_help="Write a new scenario, observer, law or effect to begin with.",
     epilog="A scenario is FOLDER/NAME.toml, a package FOLDER/NAME, for pip install -e FOLDER/NAME. Nothing is replaced. "
     "Exit code 0: it is written; 2: an error.",
 )
