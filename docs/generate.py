@@ -16,12 +16,14 @@ from bristle import observer
 from bristle.common.plugins import catalogue_modules
 from bristle.diagnosis.modelfile import ModelTable
 from bristle.fmus.conformance import BEHAVIOUR, POINTS
-from bristle.harness.metrics import CHECK_QUANTITIES
-from bristle.harness.plan import BUS_PORTS, FREE_INPUTS
+from bristle.harness.metrics import CHECK_QUANTITIES, STATES
+from bristle.harness.plan import BUS_PORTS, FREE_INPUTS, NEEDED_PORTS
 from bristle.harness.scenario import Scenario
 from bristle.model.declarations import ENTRY
+from bristle.model.normalised import OBSERVED
 from bristle.model.variables import Parameter
 from bristle.observer import methods
+from bristle.observer.method import SIGNALS
 from bristle.plant import effects as effect_package
 from bristle.plant import friction
 from bristle.plant.effect import VIEWS
@@ -147,11 +149,21 @@ CHECKS_HEAD = """
 ## Check quantities
 
 Numbers of `result.json` that `[[checks]]` may name. PARAMETER is a [normalised
-parameter](glossary.md#normalised-parameters), STATE an
+parameter](glossary.md#normalised-parameters) of the table behind, or what an FMU of your own estimates; STATE is an
 estimated state, BASELINE `linear`, `coulomb` or `floor`. A number that does not exist fails every limit.
 
 | quantity | unit | meaning |
 |---|---|---|"""
+
+BUS_HEAD = """
+## Signals of the bus
+
+What the FMUs exchange at every step; `[plant.variables]`, `[controller.variables]` and `[observer.variables]` name what an FMU of
+your own calls otherwise. It need not have those that are not needed. An observer has besides, for each PARAMETER that it estimates,
+`PARAMETER_hat` and `PARAMETER_valid`, and may have `PARAMETER_sd`.
+
+| signal | of the | direction | unit | needed |
+|---|---|---|---|---|"""
 
 MODEL_HEAD = f"""# Model file reference
 
@@ -181,6 +193,17 @@ def scenario_page(shown: Catalogue | None = None) -> str:
     text += ["| variable | of the | unit |", "|---|---|---|"]
     text += [*(f"| `{name}` | {part} | {unit} |" for name, (part, unit) in inputs.items()), CHECKS_HEAD]
     text += [f"| `{path}` | {unit} | {meaning} |" for path, (unit, meaning) in CHECK_QUANTITIES.items()]
+    text += ["", "| PARAMETER | unit | meaning |", "|---|---|---|"]
+    text += [f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in OBSERVED.items()]
+    text += ["", "| STATE | unit | meaning |", "|---|---|---|"]
+    text += [f"| `{name}` | {SIGNALS[name][0]} | {SIGNALS[name][1]} |" for name in STATES]
+    text += [BUS_HEAD]
+    text += [
+        f"| `{name}` | {part} | {side[:-1]} | {unit} | {'yes' if name in NEEDED_PORTS[part] else ''} |".replace("  |", " |")
+        for part, sides in BUS_PORTS.items()
+        for side, ports in sides.items()
+        for name, unit in ports.items()
+    ]
     return "\n".join([*text, ""])
 
 
