@@ -110,12 +110,14 @@ def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
     from bristle.fmus.build import is_packaged, obtain
 
     selector = SELECTOR_PARAMETERS.get(name, "")
-    choice, effects = getattr(part, selector, None), part.effects if isinstance(part, Plant) else []
+    choice: str | None = getattr(part, selector, None)
+    effects = part.effects if isinstance(part, Plant) else []
     packaged = choice is not None and is_packaged(name, choice)
     if not packaged and not effects:
         return Fmu(obtain(name, fmi=fmi, kind=kind))
     try:
-        return Fmu(obtain(name, fmi=fmi, kind=kind, effects=effects, **{selector: choice}))
+        law, method = (choice if selector == option else None for option in ("law", "method"))
+        return Fmu(obtain(name, fmi=fmi, kind=kind, law=law, method=method, effects=effects))
     except BristleError as error:
         raise loaded.error(f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)) from None
 

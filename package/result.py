@@ -136,9 +136,9 @@ class Result(_Answer):
         """
         xarray: Any = _frames("xarray")
         columns, estimates = self.signals(), self.estimates
-        coordinates = {"time": ("time", columns.pop("time"), {"units": "s"}), "parameter": list(estimates)}
+        coordinates: dict[str, Any] = {"time": ("time", columns.pop("time"), {"units": "s"}), "parameter": list(estimates)}
         coordinates["unit"] = ("parameter", [e["unit"] for e in estimates.values()])
-        variables = {name: ("time", values) for name, values in columns.items()}
+        variables: dict[str, Any] = {name: ("time", values) for name, values in columns.items()}
         for key in ESTIMATE_NUMBERS:
             numbers = [float("nan") if e[key] is None else float(e[key]) for e in estimates.values()]
             variables[f"estimate_{key}"] = ("parameter", numbers)

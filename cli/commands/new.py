@@ -59,5 +59,5 @@ def _taken(group: str) -> set[str]:
     from bristle.plant.friction import laws
     from bristle.plant.signal_effects import SIGNAL_EFFECTS
 
-    own = {"laws": laws(), "observers": methods(), "effects": {**effects(packages=False), **SIGNAL_EFFECTS}}[group]
-    return {*own, *offered(group)}
+    own = {"laws": [*laws()], "observers": [*methods()], "effects": [*effects(packages=False), *SIGNAL_EFFECTS]}
+    return {*own[group], *offered(group)}
