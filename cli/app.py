@@ -14,7 +14,6 @@ from bristle.common.errors import BristleError
 PASS, FAIL, ERROR = 0, 1, 2
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

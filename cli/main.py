@@ -22,9 +22,10 @@ def main() -> None:
 
     import bristle.cli.commands  # noqa: F401  # the application then has them
     from bristle.cli.app import ERROR, PASS, app
-    from bristle.cli.terminal import Interrupted, complain, interrupt, show_unraisable, show_warning
+    from bristle.cli.terminal import Interrupted, complain, interrupt, show_log, show_unraisable, show_warning
 
     warnings.showwarning, sys.unraisablehook = show_warning, show_unraisable
+    show_log()
     try:
         _on_signals(interrupt)
         code = app(standalone_mode=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import re
 import shlex
 import signal
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 DID_YOU_MEAN = re.compile(r"\. Did you mean (.*\?)$")  # how the option parser proposes a command
 SECONDS_BETWEEN_LINES = 5.0  # s, of progress where there is no terminal for a bar
+LEAST_TOLD = logging.INFO  # level of what the library logs from which it is printed
 LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
 
 
@@ -31,6 +33,23 @@ class Interrupted(BaseException):
 def say(line: str) -> None:
     """Print one line, whatever it holds, to the error output."""
     print(" ".join(line.split()), file=sys.stderr, flush=True)
+
+
+class Lines(logging.Handler):
+    """Prints what the library logs, one line each, to the error output."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        say(f"bristle: {record.getMessage()}")
+
+
+_lines = Lines()
+
+
+def show_log() -> None:
+    """Let the library say what it logs: what is left out, and what takes long."""
+    logger = logging.getLogger("bristle")
+    logger.addHandler(_lines)
+    logger.setLevel(LEAST_TOLD)
 
 
 def complain(error: BaseException, debug: bool) -> None:

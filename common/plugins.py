@@ -1,7 +1,8 @@
 """Files of the catalogues: those of a package, and those of the folders that the environment variable BRISTLE_PLUGINS names.
 
 Such a folder has sub-folders `laws`, `effects`, `observers` and `scenarios`; a file there counts like one of the package. Several
-folders are separated as in PATH. Whatever is wrong with a file there, the error names the file.
+folders are separated as in PATH. Whatever is wrong with a file there, the error names the file. Parts of installed packages are in
+`packages`.
 """
 
 from __future__ import annotations
@@ -134,15 +135,16 @@ def naming_plugins(parts: Iterable[Declared]) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # whatever the code of a plug-in raises
-        files = [part.file for part in parts if part.file]
+        files = {part.file.rpartition(": ")[2]: part.file for part in parts if part.file}  # with the package, where there is one
         misfit = isinstance(error, BristleError) and not isinstance(error, EquationError)  # of parts that are right by themselves
         if misfit or not files:
             raise
-        lines = [f"{at.filename}: line {at.lineno}" for at in traceback.extract_tb(error.__traceback__) if at.filename in files]
-        raise EquationError(f"{lines[-1] if lines else ' or '.join(files)}: {_told(error)}; correct the equations") from error
+        frames = [at for at in traceback.extract_tb(error.__traceback__) if at.filename in files]
+        where = f"{files[frames[-1].filename]}: line {frames[-1].lineno}" if frames else " or ".join(files.values())
+        raise EquationError(f"{where}: {told(error)}; correct the equations") from error
 
 
-def _told(error: BaseException) -> str:
+def told(error: BaseException) -> str:
     """Return an error of a plug-in in one line."""
     text = " ".join(str(error).split())
     return text if isinstance(error, BristleError) else f"{type(error).__name__}: {text}"
@@ -162,5 +164,5 @@ def _load(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # a file that leaves the program is a mistake of the file
         del sys.modules[name]
-        raise BristleError(f"{path}: {_told(error)}; correct the file or remove it") from error
+        raise BristleError(f"{path}: {told(error)}; correct the file or remove it") from error
     return module

@@ -20,7 +20,7 @@ from bristle.plant.effect import Effect
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.friction import law as find_law
-from bristle.plant.friction import laws
+from bristle.plant.friction import law_names
 from bristle.plant.law import FrictionLaw
 from bristle.plant.servo import A2, B, J, servo
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
@@ -225,11 +225,11 @@ class _File:
 
 
 def _model(table: ModelTable, where: Path | str) -> Model:
-    known = laws()
+    known = law_names()
     if table.friction not in known:
-        message = f"unknown friction law{suggest(table.friction, list(known))}; choose one of: {', '.join(known)}"
+        message = f"unknown friction law{suggest(table.friction, known)}; choose one of: {', '.join(known)}"
         raise mistake(where, "friction", table.friction, message)
-    law, layout = known[table.friction], layout_of(table, where)
+    law, layout = find_law(table.friction), layout_of(table, where)
     gain = () if layout.input_kind in ("torque", "force") else (B,)
     file = _File(where, law, {p.name: p for p in (J, A2, *gain, *law.parameters)}, layout)
     parameters = _parameters(file, table.parameters)

@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 TUTORIALS = Path(__file__).resolve().parent / "tutorials"
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
-PROGRESS = re.compile(r"^\w+: .*, \d+%\n", re.MULTILINE)  # a line that a long computation prints every few seconds
+PROGRESS = re.compile(r"^(?:\w+: .*, \d+%|bristle: compiling .*)\n", re.MULTILINE)  # what a long computation prints meanwhile
 MARK = "--- end of output ---"
 LIMIT = 900  # s
 

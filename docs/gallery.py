@@ -127,7 +127,7 @@ def _limits(torque: Array) -> tuple[float, float]:
 def main(names: list[str]) -> None:
     """Draw the effects that are named, or all."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    known: dict[str, Any] = effects()
+    known: dict[str, Any] = effects(packages=False)
     for name in names or known:
         write(draw(known[name]), FOLDER / f"{name}.png")
 

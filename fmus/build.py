@@ -6,6 +6,7 @@ The symbolic code is imported only if something must be built, so that `obtain` 
 from __future__ import annotations
 
 import importlib
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from bristle.common.cache import cached, digest
 from bristle.common.errors import BristleError
+from bristle.common.packages import code_offered, offered
 from bristle.common.plugins import plugin_files
 from bristle.model.compiler import FLAGS, compiler_identity
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 FMU_NAMES = ("plant", "observer", "controller")
 VARIANT_OPTION = {"plant": "law", "observer": "method"}  # name of the option that chooses one variant
+VARIANT_KIND = {"plant": "laws", "observer": "observers"}  # kind of parts that these options choose from
 HASHED_PACKAGES = ("bristle.common", "bristle.model", "bristle.plant", "bristle.observer", "bristle.fmus")
 HASHED_DISTRIBUTIONS = ("bristle", "casadi", "fmpy", "pythonfmu")
 HASHED_PLUGINS = ("laws", "effects", "observers")  # sub-folders of plug-in folders whose files an FMU may contain
@@ -141,10 +144,23 @@ def _sources(package: str) -> list[str | bytes]:
 SOURCES = digest(*(part for name in HASHED_PACKAGES for part in _sources(name)))
 
 
-def _key(kind: str, *arguments: object) -> str:
+def _key(packages: Sequence[str | bytes], kind: str, *arguments: object) -> str:
+    """Return the hash of all that an FMU is made from; `packages`: the code of the installed packages among it."""
     plugins = [part for each in HASHED_PLUGINS for path in plugin_files(each, ".py") for part in (str(path), path.read_bytes())]
     made_by = (*FLAGS, compiler_identity()) if kind == "native" else ()
-    return digest(SOURCES, *plugins, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments)))
+    return digest(
+        SOURCES, *plugins, *packages, *(version(name) for name in HASHED_DISTRIBUTIONS), *made_by, repr((kind, *arguments))
+    )
+
+
+def is_packaged(what: str, variant: str) -> bool:
+    """True if a law or method is of an installed package, and so in no FMU but one of it alone."""
+    if variant not in offered(VARIANT_KIND[what]):
+        return False
+    from bristle.observer import methods
+    from bristle.plant.friction import laws
+
+    return variant not in (laws() if what == "plant" else methods())
 
 
 def nothing(_content: Mapping[str, bytes]) -> Mapping[str, bytes]:
@@ -176,10 +192,23 @@ def obtain(
         As of `build`.
     """
     variant = _check(what, fmi, kind, law, method, effects)
-    key = _key(kind, what, fmi, variant, encoder, *sorted(effects), *sorted((parameters or {}).items()))
+    parts = [("effects", effect) for effect in sorted(effects)] + ([(VARIANT_KIND[what], variant)] if variant else [])
+    key = _key(
+        [code for part in parts for code in code_offered(*part)],
+        kind,
+        what,
+        fmi,
+        variant,
+        encoder,
+        *sorted(effects),
+        *sorted((parameters or {}).items()),
+    )
     name = "-".join([what, *([variant] if variant else []), *sorted(effects), f"fmi{fmi}", kind, key[:24]])
 
     def make(out: Path) -> None:
+        if kind == "native":
+            which = ", ".join([what, *([variant] if variant else []), *sorted(effects)])
+            logging.getLogger("bristle").info("compiling an FMU (%s) once; later runs take it from the cache", which)
         build(
             what, out, fmi=fmi, kind=kind, law=law, method=method, effects=effects, encoder=encoder, parameters=parameters,
             related=nothing,

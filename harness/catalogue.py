@@ -1,4 +1,4 @@
-"""Friction laws, observers and scenarios by name, and FMUs as files."""
+"""Scenarios by name, and FMUs as files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from bristle.common.output import output_folder, replace_files
 from bristle.common.plugins import plugin_files
 from bristle.common.toml import read_toml
 from bristle.common.work import TemporaryFolder
-from bristle.fmus.host import Fmu
 
 
 def scenario_files() -> dict[str, Path]:
@@ -53,24 +52,6 @@ def find_scenario(given: Path) -> Path:
         near = suggest(given.name, list(known))
         raise BristleError(f"scenario '{given}': no such file or name{near}; give a path or one of: {', '.join(known)}")
     return known[given.name]
-
-
-def _choices(what: str, selector: str) -> dict[str, str]:
-    """Return the items of an FMU's selector with their descriptions."""
-    from bristle.fmus import obtain
-
-    fmu = Fmu(obtain(what))
-    declared = fmu.variables[selector].declaredType
-    return {str(item.name): str(item.description or "") for item in declared.items}
-
-
-def catalogue() -> dict[str, dict[str, str]]:
-    """Return laws, methods and scenarios with a line about each, from the FMUs and the scenario files."""
-    return {
-        "friction laws": _choices("plant", "law"),
-        "observer methods": _choices("observer", "method"),
-        "scenarios": scenarios(),
-    }
 
 
 @dataclass(frozen=True)

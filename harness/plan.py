@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.packages import offered
 from bristle.fmus.alias import Mapped, alias
 from bristle.fmus.host import Alias, Fmu, Value
 from bristle.harness.loop import Bus, Instance, Port
@@ -87,8 +88,6 @@ class Setup:
 
 def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, Fmu]:
     """Return the FMUs a scenario needs, building those of bristle that are not in the cache."""
-    from bristle.fmus import obtain
-
     scenario = loaded.scenario
     parts: dict[str, Part | None] = {"observer": scenario.observer}
     if scenario.plant is not None:
@@ -101,20 +100,26 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
             raise loaded.error(f"{name}.variables", None, f"names those of an FMU of your own; give {name}.fmu, or remove it")
         if part.fmu is not None:
             found[name] = _foreign(loaded, name, part.fmu, part.variables)
-        elif isinstance(part, Plant) and part.effects:
-            found[name] = _with_effects(loaded, part, fmi, kind)
         else:
-            found[name] = Fmu(obtain(name, fmi=fmi, kind=kind))
+            found[name] = _own(loaded, name, part, fmi, kind)
     return found
 
 
-def _with_effects(loaded: Loaded, plant: Plant, fmi: int, kind: Kind) -> Fmu:
-    from bristle.fmus import obtain
+def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
+    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or is of an installed package."""
+    from bristle.fmus.build import is_packaged, obtain
 
+    selector = SELECTOR_PARAMETERS.get(name, "")
+    choice: str | None = getattr(part, selector, None)
+    effects = part.effects if isinstance(part, Plant) else []
+    packaged = choice is not None and is_packaged(name, choice)
+    if not packaged and not effects:
+        return Fmu(obtain(name, fmi=fmi, kind=kind))
     try:
-        return Fmu(obtain("plant", fmi=fmi, kind=kind, law=plant.law, effects=plant.effects))
+        law, method = (choice if selector == option else None for option in ("law", "method"))
+        return Fmu(obtain(name, fmi=fmi, kind=kind, law=law, method=method, effects=effects))
     except BristleError as error:
-        raise loaded.error("plant", None, str(error)) from None
+        raise loaded.error(f"{name}.{selector}" if packaged else name, choice if packaged else None, str(error)) from None
 
 
 def _foreign(loaded: Loaded, name: str, file: str, variables: Mapping[str, Mapped]) -> Fmu:
@@ -207,7 +212,10 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[s
     if choice is not None and fmu.has(selector, "parameter"):
         choices = fmu.choices(selector)
         if choice not in choices:
-            message = f"unknown {selector}{suggest(choice, list(choices))}; choose one of: {', '.join(choices)}"
+            from bristle.fmus.build import VARIANT_KIND
+
+            known = list(dict.fromkeys([*choices, *offered(VARIANT_KIND[name])]))
+            message = f"unknown {selector}{suggest(choice, known)}; choose one of: {', '.join(known)}"
             raise loaded.error(f"{name}.{selector}", choice, message)
         values[selector] = choices[choice]
     others = set(fmu.choices(selector)) - {choice} if choice is not None else set()

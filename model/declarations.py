@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
@@ -11,11 +13,12 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.packages import load_offered, offered, packages_of
 from bristle.common.plugins import CatalogueFile, declarations, plugin_roots
 from bristle.common.units import parse_unit
 from bristle.model.variables import Parameter, State
 
-__all__ = ["checked_declarations", "source_keys"]
+__all__ = ["checked_declarations", "packaged_declaration", "packaged_declarations", "source_keys"]
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")  # of a law, an effect or an observer
 ENTRY = re.compile(r"^@\w+\{([^,\s]+),", re.MULTILINE)  # of a BibTeX file
@@ -27,6 +30,9 @@ class Part(Protocol):
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def description(self) -> str: ...
 
     @property
     def source(self) -> str: ...
@@ -68,17 +74,88 @@ def checked_declarations(
     plugins = {each.file for each in found if each.plugin}
     by_name = {part.name: replace(part, file=file if file in plugins else "") for file, part in declared.items()}  # type: ignore[type-var]  # law, effect or method: each a dataclass
     for file, part in declared.items():
-        try:
+        with _naming(file, attribute):
             _check(part)
             if file in plugins:  # a test checks the sources of what is shipped
-                _check_sources(part)
+                _check_sources(part, source_keys())
             if more is not None:
                 more(part, by_name)
-        except BristleError as error:
-            raise BristleError(f"{file}: {error}") from None
-        except (AttributeError, KeyError, TypeError, ValueError) as error:  # something of another type
-            raise BristleError(f"{file}: {attribute} is malformed: {type(error).__name__}: {error}; copy a shipped file") from error
     return by_name
+
+
+def packaged_declaration(
+    folder: str,
+    name: str,
+    attribute: str,
+    kind: type[P],
+    own: Mapping[str, P],
+    more: Callable[[Any, Mapping[str, P]], None] | None = None,
+) -> P:
+    """Return what an installed package declares under a name that `offered` has, checked.
+
+    Parameters
+    ----------
+    folder, name : str
+        Kind of the part (laws, effects, observers) and its name.
+    attribute, kind, more
+        As of `checked_declarations`.
+    own : mapping of str to kind
+        What comes with bristle and from plug-in folders, whose names are taken.
+
+    Raises
+    ------
+    BristleError
+        One line that names the package.
+    """
+    if name in own:
+        title = packages_of(folder, name)
+        raise BristleError(f"{title}: {attribute} is called '{name}', as one that bristle has already; give it a name of its own")
+    value, file = load_offered(folder, name)
+    part = value if isinstance(value, kind) else getattr(value, attribute, None)
+    if not isinstance(part, kind):
+        raise BristleError(f"{file}: no {attribute} that is a {kind.__name__}; declare one, or correct the entry point '{name}'")
+    with _naming(file, attribute):
+        if part.name != name:
+            raise BristleError(f"declares '{part.name}', its entry point is called '{name}'; give both the same name")
+        _check(part)
+        _check_sources(part, source_keys() | _keys(Path(file.rpartition(": ")[2]).parent))
+        if more is not None:
+            more(part, {**own, name: part})
+    return replace(part, file=file)  # type: ignore[type-var]  # law, effect or method: each a dataclass
+
+
+def packaged_declarations(
+    folder: str,
+    attribute: str,
+    kind: type[P],
+    own: Mapping[str, P],
+    more: Callable[[Any, Mapping[str, P]], None] | None = None,
+) -> dict[str, P]:
+    """Return by name what installed packages declare (see `packaged_declaration`); a warning tells what is left out."""
+    found = {}
+    for name in offered(folder):
+        try:
+            found[name] = packaged_declaration(folder, name, attribute, kind, own, more)
+        except BristleError as error:
+            _warn(f"left out: {error}")
+    return found
+
+
+@cache
+def _warn(text: str) -> None:
+    """Log a warning, once."""
+    logging.getLogger("bristle").warning(text)
+
+
+@contextmanager
+def _naming(file: str, attribute: str) -> Iterator[None]:
+    """Let an error in a declaration name its file."""
+    try:
+        yield
+    except BristleError as error:
+        raise BristleError(f"{file}: {error}") from None
+    except (AttributeError, KeyError, TypeError, ValueError) as error:  # something of another type
+        raise BristleError(f"{file}: {attribute} is malformed: {type(error).__name__}: {error}; copy a shipped file") from error
 
 
 def _check(part: Part) -> None:
@@ -108,21 +185,27 @@ def _check_unit(where: str, unit: str) -> None:
         raise BristleError(f"{where}: unit '{unit}' is {factor:g} of the SI unit; declare it in SI")
 
 
-def _check_sources(part: Part) -> None:
-    known = source_keys()
+def _check_sources(part: Part, known: frozenset[str]) -> None:
     for where, source in [("", part.source), *((f"parameter '{p.name}': ", p.source) for p in part.parameters)]:
         keys = SOURCE_KEY.findall(source)
         unknown = [key for key in keys if key not in known]
         if unknown or not keys:
             said = f"'{unknown[0]}' is no key{suggest(unknown[0], sorted(known))}" if unknown else "names no key"
-            remedy = "correct it, or add an entry to a references.bib in the folder of the plug-ins"
+            remedy = (
+                "correct it, or add an entry to a references.bib in the folder of the plug-ins, or beside the module of a package"
+            )
             raise BristleError(f"{where}source '{source}': {said} of references.bib; {remedy}")
 
 
 def source_keys() -> frozenset[str]:
     """Return the keys of references.bib, and of the files of this name in the folders of BRISTLE_PLUGINS."""
-    added = [root / "references.bib" for root in plugin_roots()]
-    return _own_keys().union(*(ENTRY.findall(path.read_text(encoding="utf-8")) for path in added if path.is_file()))
+    return _own_keys().union(*(_keys(root) for root in plugin_roots()))
+
+
+def _keys(folder: Path) -> frozenset[str]:
+    """Return the keys of the references.bib in a folder, which need not have one."""
+    path = folder / "references.bib"
+    return frozenset(ENTRY.findall(path.read_text(encoding="utf-8"))) if path.is_file() else frozenset()
 
 
 @cache

@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
-from bristle.common.errors import BristleError
+from bristle.common.errors import BristleError, suggest
+from bristle.common.packages import offered
 from bristle.common.plugins import catalogue_modules
-from bristle.model.declarations import checked_declarations
+from bristle.model.declarations import checked_declarations, packaged_declaration, packaged_declarations
 from bristle.model.program import Program
 from bristle.observer.method import Method, observer
 
 __all__ = ["methods", "observer_program"]
 
 
-def methods() -> dict[str, Method]:
-    """Return all methods by name, in alphabetical order of their files."""
-    return checked_declarations(catalogue_modules(__name__, __path__, "observers"), "METHOD", Method)
+def methods(packages: bool = False) -> dict[str, Method]:
+    """Return all methods by name, in alphabetical order of their files; with `packages`, those of installed packages follow.
+
+    The observer of all methods has none of a package, so that it is the same wherever it is built.
+    """
+    own = checked_declarations(catalogue_modules(__name__, __path__, "observers"), "METHOD", Method)
+    return own | packaged_declarations("observers", "METHOD", Method, own) if packages else own
 
 
 def observer_program(method: str | None = None) -> Program:
-    """Return the observers as a program: all methods behind the selector `method`, or one alone.
+    """Return the observers as a program: all methods behind the selector `method`, or one alone, also of an installed package.
 
     Raises
     ------
     BristleError
         If the method is unknown.
     """
-    known = methods()
+    own = methods()
     if method is None:
-        systems = [observer(each) for each in known.values()]
+        systems = [observer(each) for each in own.values()]
         about = "adaptive observer, chosen by the parameter method"
         return Program("AdaptiveObserver", systems, "method", about, chosen="bastin_gevers")
+    known = list(dict.fromkeys([*own, *offered("observers")]))
     if method not in known:
-        raise BristleError(f"unknown observer '{method}'; known: {', '.join(known)}")
-    return Program(f"AdaptiveObserver_{method}", [observer(known[method])])
+        raise BristleError(f"unknown observer '{method}'{suggest(method, known)}; known: {', '.join(known)}")
+    chosen = own[method] if method in own else packaged_declaration("observers", method, "METHOD", Method, own)
+    return Program(f"AdaptiveObserver_{method}", [observer(chosen)])

@@ -8,6 +8,8 @@
     path = bristle.build("plant", "fmus", fmi=3)                  # an FMU for another tool
     paper = bristle.reproduce("out")                              # the figures and numbers of the paper
 
+    result.to_pandas("estimates"), result.to_xarray()             # with pip install 'bristle[frames]'
+
 The functions do what the commands of the same names do. The rest of the library is imported when a function first needs it.
 """
 

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from bristle.common.arguments import as_choice
+from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
     import numpy as np
+    import pandas as pd
+    import xarray as xr
     from numpy.typing import NDArray
 
 __all__ = ["Reproduction", "Result"]
+
+TABLES = ("signals", "estimates", "checks")  # of a result, in the form of pandas
+ESTIMATE_NUMBERS = ("final", "sd", "true", "error_percent", "settling_s", "valid")  # of an estimate, in the form of xarray
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,6 +91,82 @@ class Result(_Answer):
             table = np.loadtxt(lines, delimiter=",", ndmin=2)
         return dict(zip(names, table.T, strict=True))
 
+    def to_pandas(self, table: Literal["signals", "estimates", "checks"] = "signals") -> pd.DataFrame:
+        """Return signals, estimates or checks as a table of pandas, which the extra ``frames`` installs.
+
+        Parameters
+        ----------
+        table : {"signals", "estimates", "checks"}, optional
+            ``"signals"``: a column a signal (SI units), over the time [s]; ``"estimates"``: a row a parameter, as in `estimates`;
+            ``"checks"``: a row a check, as in `checks`.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        BristleError
+            If there is no such table, or pandas is not installed.
+        """
+        pandas: Any = _frames("pandas")
+        if as_choice("table", table, TABLES) == "signals":
+            columns = self.signals()
+            found = pandas.DataFrame(columns, index=pandas.Index(columns.pop("time"), name="time"))
+        elif table == "estimates":
+            found = pandas.DataFrame.from_dict(self.estimates, orient="index").rename_axis("parameter")
+        else:
+            found = pandas.DataFrame(list(self.checks))
+        return cast("pd.DataFrame", found)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return signals and estimates as a data set of xarray, which the extra ``frames`` installs.
+
+        Returns
+        -------
+        xarray.Dataset
+            The signals over the coordinate ``time`` [s]; over the coordinate ``parameter`` the numbers of the estimates, such as
+            ``estimate_final`` and ``estimate_true``, in the units of the coordinate ``unit``, not a number where there is none.
+            Attributes: ``scenario`` and ``verdict``.
+
+        Raises
+        ------
+        BristleError
+            If xarray is not installed.
+        """
+        xarray: Any = _frames("xarray")
+        columns, estimates = self.signals(), self.estimates
+        coordinates: dict[str, Any] = {"time": ("time", columns.pop("time"), {"units": "s"}), "parameter": list(estimates)}
+        coordinates["unit"] = ("parameter", [e["unit"] for e in estimates.values()])
+        variables: dict[str, Any] = {name: ("time", values) for name, values in columns.items()}
+        for key in ESTIMATE_NUMBERS:
+            numbers = [float("nan") if e[key] is None else float(e[key]) for e in estimates.values()]
+            variables[f"estimate_{key}"] = ("parameter", numbers)
+        attributes = {"scenario": self.scenario, "verdict": self.verdict}
+        return cast("xr.Dataset", xarray.Dataset(variables, coordinates, attributes))
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the verdict, a table of the estimates, and one of the checks."""
+        from html import escape
+
+        from bristle.common import html
+        from bristle.harness.metrics import SIGNS
+
+        shown = ("final", "sd", "true", "error_percent", "settling_s")
+        estimates = [
+            [html.identifier(name), *(html.number(e[key]) for key in shown), html.unit(e["unit"]), "yes" if e["valid"] else "no"]
+            for name, e in self.estimates.items()
+        ]
+        limits = [f"{SIGNS[check['kind']]} {html.number(check['limit'])}" for check in self.checks]
+        checks = [
+            [escape(check["name"]), html.number(check["value"]), limit, "pass" if check["pass"] else "FAIL"]
+            for check, limit in zip(self.checks, limits, strict=True)
+        ]
+        parts = [f"<p><b>{escape(self.scenario)}: {escape(self.verdict)}</b></p>"]
+        heads = ["parameter", "estimate", "sd", "true", "error, %", "settling, s", "unit", "valid"]
+        parts += [html.table(heads, estimates, range(1, 6)), html.table(["check", "value", "limit", ""], checks, (1,))]
+        return "\n".join([*parts, f"<p>{escape(str(self.report))}</p>"])
+
     def __repr__(self) -> str:
         good = sum(bool(check["pass"]) for check in self.checks)
         return f"<Result {self.scenario!r}: {self.verdict}, {good} of {len(self.checks)} checks pass, in {str(self.folder)!r}>"
@@ -132,6 +218,14 @@ class Reproduction(_Answer):
             values = "".join(f" {_number(row[name])}" for name in columns)
             lines.append(f"  {row['plant'] + ', order ' + str(row['order']):<12}{values}")
         return "\n".join([*lines, f"  {self.report}"])
+
+
+def _frames(name: str) -> ModuleType:
+    """Return pandas or xarray."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        raise BristleError(f"{name} is not installed; run: pip install 'bristle[frames]'") from None
 
 
 def _number(value: float | None) -> str:

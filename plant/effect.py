@@ -9,7 +9,6 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks, welch
 
 from bristle.common.errors import BristleError
 from bristle.model.system import System
@@ -121,6 +120,8 @@ class Evidence:
 
         At most `count`, the highest first; from four periods in a window upwards. Source: welch1967 (averaged spectrum).
         """
+        from scipy.signal import find_peaks, welch  # only where it is needed: its import takes half a second
+
         lacking = self.inertia * self.a + self.level * np.sign(self.v) - self.gain * self.u
         window = min(len(lacking), round(RESONANCE_WINDOW / self.h))
         frequency, power = welch(lacking, fs=1 / self.h, nperseg=window)

@@ -8,10 +8,11 @@ from __future__ import annotations
 import casadi as ca
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.packages import offered
 from bristle.model.generator import MODULUS, normal, scrambled
 from bristle.model.variables import Namespace, Parameter, State
 from bristle.plant.effect import LONGEST_DELAY, Context, Extension
-from bristle.plant.effects import effects
+from bristle.plant.effects import effect, effects
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
 
 __all__ = ["SIGNAL_EFFECTS", "extension"]
@@ -87,7 +88,10 @@ SIGNAL_EFFECTS = {each.name: each for each in (INPUT_NOISE, MEASUREMENT_DELAY)}
 
 def extension(name: str) -> Extension:
     """Return the effect `name`: of `plant/effects`, of this file or an unnamed torque; raise `BristleError` for an unknown one."""
-    known = {**effects(), **SIGNAL_EFFECTS, **UNNAMED_TORQUES}
-    if name not in known:
-        raise BristleError(f"unknown effect '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")
-    return known[name]
+    known = {**effects(packages=False), **SIGNAL_EFFECTS, **UNNAMED_TORQUES}
+    if name in known:
+        return known[name]
+    if name in offered("effects"):
+        return effect(name)
+    names = [*known, *offered("effects")]
+    raise BristleError(f"unknown effect '{name}'{suggest(name, names)}; known: {', '.join(names)}")

@@ -14,6 +14,7 @@ for _name in (
     "coupling",
     "reproduce",
     "schema",
+    "new",
     "init",
     "diagnose",
     "validate",

@@ -24,11 +24,12 @@ def schema(
     debug: DebugOption = False,
 ) -> int:
     """Print a JSON schema; an editor that knows TOML checks and completes files with it."""
-    print(json.dumps(_schema(kind), indent=2))
+    print(json.dumps(schema_of(kind), indent=2))
     return PASS
 
 
-def _schema(kind: FileKind) -> dict[str, Any]:
+def schema_of(kind: FileKind) -> dict[str, Any]:
+    """Return the JSON schema of a kind of file."""
     from bristle.diagnosis.modelfile import ModelTable
     from bristle.harness.scenario import Scenario
 

@@ -10,7 +10,7 @@ from bristle.diagnosis.modelfile import Model
 from bristle.fmus.host import Fmu
 from bristle.fmus.playback import INPUT
 from bristle.plant.effects import effects
-from bristle.plant.friction import laws
+from bristle.plant.friction import law_names
 from bristle.records.layout import INPUT_UNITS
 
 INPUT_KINDS = ("Real", "Float64", "Enumeration")  # of a start value that is a number
@@ -43,7 +43,7 @@ def fmu_model(path: Path) -> Model:
             raise BristleError(f"FMU {path}: no parameter '{name}' to scale by; {ADVICE}")
     if not {"theta", "v"} & outputs:
         raise BristleError(f"FMU {path}: no output 'theta' or 'v'; {ADVICE}")
-    law = chosen or next((name for name in laws() if any(start.startswith(f"{name}.") for start in starts)), "viscous")
+    law = chosen or next((name for name in law_names() if any(start.startswith(f"{name}.") for start in starts)), "viscous")
     found: dict[str, dict[str, float]] = {}
     for effect in effects():
         own = {name.removeprefix(f"{effect}."): x for name, x in starts.items() if name.startswith(f"{effect}.")}

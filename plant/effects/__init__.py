@@ -6,8 +6,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.packages import offered
 from bristle.common.plugins import catalogue_modules
-from bristle.model.declarations import checked_declarations
+from bristle.model.declarations import checked_declarations, packaged_declaration, packaged_declarations
 from bristle.model.normalised import OBSERVED
 from bristle.plant.effect import NEEDS, VIEWS, Effect
 from bristle.plant.unnamed_torque import UNNAMED_TORQUES
@@ -17,8 +18,12 @@ __all__ = ["effect", "effects", "separation"]
 
 
 @cache
-def _catalogue(wording: Wording) -> dict[str, Effect]:
+def _catalogue(wording: Wording, packages: bool) -> dict[str, Effect]:
     """Return what the files here declare, checked, so that a mistake in one is reported at once with its file."""
+    if packages:
+        own = _catalogue(wording, False)
+        added = packaged_declarations("effects", "EFFECT", Effect, own, _check)
+        return own | {name: effect.worded(wording) for name, effect in added.items()}
     found = checked_declarations(catalogue_modules(__name__, __path__, "effects"), "EFFECT", Effect, _check)
     return {name: effect.worded(wording) for name, effect in found.items()}
 
@@ -50,12 +55,12 @@ def _must_know(key: str, names: Iterable[str], known: Sequence[str], what: str) 
             raise BristleError(f"{key}: '{name}' is no {what}{suggest(name, known)}; known: {', '.join(known)}")
 
 
-def effects(wording: Wording = ROTARY) -> dict[str, Effect]:
+def effects(wording: Wording = ROTARY, packages: bool = True) -> dict[str, Effect]:
     """Return all effects by name, in alphabetical order of their files, with the words for an axis in their texts.
 
-    Raise `BristleError` if a file declares none rightly.
+    Those of installed packages follow, unless `packages` is False. Raise `BristleError` if a file declares none rightly.
     """
-    return dict(_catalogue(wording))
+    return dict(_catalogue(wording, packages))
 
 
 def effect(name: str, wording: Wording = ROTARY) -> Effect:
@@ -65,7 +70,10 @@ def effect(name: str, wording: Wording = ROTARY) -> Effect:
     """
     if name in UNNAMED_TORQUES:
         return UNNAMED_TORQUES[name].worded(wording)
-    known = _catalogue(wording)
+    own = _catalogue(wording, False)
+    known = own if name in own else _catalogue(wording, True)
+    if name not in known and name in offered("effects"):  # left out for a mistake, which is the answer here
+        return packaged_declaration("effects", name, "EFFECT", Effect, own, _check).worded(wording)
     if name not in known:
         raise BristleError(f"unknown effect '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")
     return known[name]

@@ -16,7 +16,10 @@ from pathlib import Path
 import pytest
 
 from bristle.common.errors import BristleError
+from bristle.fmus import obtain
+from bristle.fmus.build import FMU_NAMES
 from bristle.harness.catalogue import find_scenario
+from bristle.harness.validation import lean_fmus
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -33,8 +36,16 @@ def temporary(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def compiled() -> None:
+    """Compile what the commands use: they say so when they do it."""
+    for what in FMU_NAMES:
+        obtain(what)
+    lean_fmus()
+
+
 @pytest.fixture
-def cli(temporary: Path) -> Cli:
+def cli(temporary: Path, compiled: None) -> Cli:
     """Return what runs the command line to its end; it must leave no temporary file."""
 
     def call(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -173,6 +184,7 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "coupling",
         "reproduce",
         "schema",
+        "new",
         "init",
         "diagnose",
         "validate",
@@ -260,6 +272,29 @@ def test_debug_shows_the_traceback_and_still_exits_with_2(cli: Cli, tmp_path: Pa
     done = cli("run", tmp_path / "nowhere.toml", "--out", tmp_path, "--debug")
     assert done.returncode == 2
     assert "Traceback" in done.stderr
+
+
+def test_what_is_compiled_is_told_once_although_nobody_looks(case: Path, tmp_path: Path) -> None:
+    """On the error output, so that a pipe of the verdicts has none of it; the cache is empty at first."""
+    environment = {**os.environ, "BRISTLE_CACHE": str(tmp_path / "cache")}
+    case.write_text(case.read_text().replace('law = "modified"', f'fmu = "{obtain("plant", law="modified")}"'))
+    case.write_text(case.read_text().replace('method = "bastin_gevers"', f'fmu = "{obtain("observer", method="bastin_gevers")}"'))
+    build = command(["run", case, "--out", tmp_path / "out"])
+    for lines in (["bristle: compiling an FMU (controller) once; later runs take it from the cache"], []):
+        done = subprocess.run(build, capture_output=True, text=True, env=environment, check=False)
+        assert done.stderr.splitlines() == lines
+        assert "compiling" not in done.stdout
+
+
+def test_list_compiles_nothing(tmp_path: Path) -> None:
+    environment = {**os.environ, "BRISTLE_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(command(["list"]), capture_output=True, text=True, env=environment, check=False)
+    assert (done.returncode, done.stderr, (tmp_path / "cache").exists()) == (0, "", False)
+    heavy = ["scipy.signal", "fmpy", "matplotlib", "pythonfmu"]
+    code = "import sys; from bristle.cli.main import app; app(['list'], standalone_mode=False); "
+    code += f"print({{*{heavy}}} & {{*sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
 
 
 def test_list_names_what_there_is(cli: Cli) -> None:

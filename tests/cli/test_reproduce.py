@@ -62,7 +62,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The whole page."""
     out = tmp_path_factory.mktemp("whole")
     done = cli("--out", out)
-    besides = [line for line in done.stderr.splitlines() if not re.fullmatch(r"reproduce: .*, \d+%", line)]  # of its progress
+    besides = [
+        line for line in done.stderr.splitlines() if not re.fullmatch(r"reproduce: .*, \d+%|bristle: compiling .*", line)
+    ]  # of its progress
     assert (done.returncode, besides) == (0, [])
     assert done.stdout == f"pass  {out / 'report.html'}\n"
     content: dict[str, Any] = json.loads((out / "reproduce.json").read_text(encoding="utf-8"))

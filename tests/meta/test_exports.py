@@ -27,7 +27,7 @@ PUBLIC = {
         "BEHAVIOUR", "POINTS", "Result", "Severity", "Verdict", "conformance", "junit", "sarif", "static_conformance", "to_lines",
         "to_tree",
     ],
-    "bristle.model.declarations": ["checked_declarations", "source_keys"],
+    "bristle.model.declarations": ["checked_declarations", "packaged_declaration", "packaged_declarations", "source_keys"],
     "bristle.model.native": ["Native"],
     "bristle.model.program": ["Program"],
     "bristle.model.system": ["DryRow", "System"],
@@ -42,7 +42,7 @@ PUBLIC = {
         "NEEDS", "OVER_INERTIA", "REVERSALS", "RecordedMotion", "power",
     ],
     "bristle.plant.effects": ["effect", "effects", "separation"],
-    "bristle.plant.friction": ["law", "laws"],
+    "bristle.plant.friction": ["law", "law_names", "laws"],
     "bristle.plant.law": [
         "Friction", "FrictionLaw", "stribeck_curve", "stribeck_end", "stribeck_parameters", "stribeck_truth",
     ],
