@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 from bristle.common.drawing import Drawing
 
+CARD_COLUMNS = 6  # of a table that is too wide for a narrow screen
 URL_SAFE = " !$'()*+,-./:;<=>?@[]^_`{|}~"  # characters that may stand unescaped in an address inside quotes
 
 
@@ -38,14 +39,19 @@ def identifier(text: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
-    """Return an HTML table; columns in `numeric` are right-aligned."""
+    """Return an HTML table; columns in `numeric` are right-aligned. On a narrow screen one of many columns becomes cards."""
+    cards = len(head) >= CARD_COLUMNS
+    names = [re.sub(r"<[^>]*>", "", text) for text in head]
 
     def cell(tag: str, index: int, text: str) -> str:
-        return f'<{tag} class="n">{text}</{tag}>' if index in numeric else f"<{tag}>{text}</{tag}>"
+        right = ' class="n"' if index in numeric else ""
+        name = f' data-name="{names[index]}"' if cards and tag == "td" and index and names[index] else ""
+        return f"<{tag}{right}{name}>{text}</{tag}>"
 
     body = "".join("<tr>" + "".join(cell("td", i, text) for i, text in enumerate(row)) + "</tr>" for row in rows)
     return (
-        "<table><thead><tr>"
+        ('<table class="cards">' if cards else "<table>")
+        + "<thead><tr>"
         + "".join(cell("th", i, text) for i, text in enumerate(head))
         + f"</tr></thead><tbody>{body}</tbody></table>"
     )
@@ -58,7 +64,7 @@ def badge(kind: str, text: str) -> str:
 
 def tally(passed: int, total: int, what: str) -> str:
     """Return how many of `total` hold as a coloured word, for the top of a page: 14 of 14 checks."""
-    return badge("good" if passed == total else "bad", f"{passed} of {total} {what}")
+    return badge("good" if passed == total > 0 else "bad", f"{passed} of {total} {what}")
 
 
 def beside(names: Iterable[str]) -> str:

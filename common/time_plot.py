@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -52,20 +52,19 @@ def time_panel(ax: Any, clock: str = "run", part: tuple[float, float] | None = N
 
 def time_curve(ax: Any, time: Array, values: Array, colour: str, label: str = "", **style: Any) -> None:
     """Draw values over time [s], shape (n,); NaN is a gap. `style` is matplotlib's."""
-    drawn, index = _indices(ax, time, (values,))
+    drawn, parts = _indices(ax, time, (values,))
     named = {"label": label} if label else {}
     [line] = ax.plot(time[drawn], values[drawn], color=colour, **named, **style)
     dashes = [round(float(each), 1) for each in line._dash_pattern[1] or ()]
     item = {"label": label, "colour": colour, "width": line.get_linewidth(), "dashes": dashes}
-    ax.time_panel.items.append(item | {"x": _steps(time[index]), "y": _packed(values[index])})
+    ax.time_panel.items.append(item | _data(time, {"y": values}, parts))
 
 
 def time_band(ax: Any, time: Array, low: Array, high: Array, colour: str, alpha: float) -> None:
     """Fill between two lines over time [s], each of shape (n,)."""
-    drawn, index = _indices(ax, time, (low, high))
+    drawn, parts = _indices(ax, time, (low, high))
     ax.fill_between(time[drawn], low[drawn], high[drawn], color=colour, alpha=alpha, linewidth=0)
-    item = {"colour": colour, "alpha": alpha, "x": _steps(time[index]), "y": _packed(low[index]), "high": _packed(high[index])}
-    ax.time_panel.items.append(item)
+    ax.time_panel.items.append({"colour": colour, "alpha": alpha} | _data(time, {"y": low, "high": high}, parts))
 
 
 def time_span(ax: Any, first: float, last: float, colour: str, alpha: float) -> None:
@@ -80,17 +79,22 @@ def time_mark(ax: Any, at: float, colour: str) -> None:
     ax.time_panel.items.append({"colour": colour, "at": float(at)})
 
 
-def _indices(ax: Any, time: Array, rows: Sequence[Array]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the samples for the picture, and those for the plot: of the whole time, and finer of the part in the picture."""
+def _indices(ax: Any, time: Array, rows: Sequence[Array]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:
+    """Return the samples for the picture, and those for the plot: of the whole time, and of the part that the picture shows."""
     panel, everything = ax.time_panel, slice(0, len(time))
     part = everything
     if panel.part is not None:
         first, last = np.searchsorted(time, panel.part)
         part = slice(int(first), int(last) + 1)
     columns = COLUMNS_A_POINT * 72 * ax.figure.get_size_inches()[0] * ax.get_position().width
-    drawn = _thinned(rows, part, round(columns))
-    whole = _thinned(rows, everything, panel.columns)
-    return drawn, whole if panel.part is None else np.union1d(whole, _thinned(rows, part, panel.columns))
+    parts = [everything] if panel.part is None else [everything, part]
+    return _thinned(rows, part, round(columns)), [_thinned(rows, each, panel.columns) for each in parts]
+
+
+def _data(time: Array, rows: Mapping[str, Array], parts: Sequence[NDArray[np.intp]]) -> dict[str, Any]:
+    """Return times and values as report.js reads them: of the whole time, and as `fine` of the part in the picture."""
+    whole, *part = [{"x": _steps(time[index])} | {key: _packed(row[index]) for key, row in rows.items()} for index in parts]
+    return whole | ({"fine": part[0]} if part else {})
 
 
 def _thinned(rows: Sequence[Array], part: slice, columns: int) -> NDArray[np.intp]:

@@ -208,10 +208,10 @@ def _signals(pictures: Pictures) -> Any:
     figure = new_figure(11.0, 4.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
     time_panel(top, part=_part(time))
-    shown = (MEASURED, "measured velocity", {"linewidth": 2.0}) if pictures.measured else (TRUTH, "velocity", {"linewidth": 1.6})
+    shown = (MEASURED, "measured velocity", {"linewidth": 0.9}) if pictures.measured else (TRUTH, "velocity", {"linewidth": 0.9})
     curves = (
-        ("reference", REFERENCE, "reference", {"linewidth": 0.9}), ("v", *shown),
-        ("v_hat", ESTIMATE, "estimate of the velocity", {"linestyle": (0, (3, 2)), "linewidth": 1.2}),
+        ("reference", REFERENCE, "reference", {"linewidth": 0.9}),
+        ("v_hat", ESTIMATE, "estimate of the velocity", {"linewidth": 2.4}), ("v", *shown),
     )  # fmt: skip
     for key, colour, label, style in curves:
         if key in signals and np.isfinite(signals[key]).any():
@@ -258,8 +258,8 @@ def _friction(pictures: Pictures) -> Any:
     wide, near = figure.subplots(1, 2, width_ratios=[1.25, 1])
     slow = LOOP_SPEED * pictures.speed_scale * float(np.sqrt(np.mean(pictures.signals["v"] ** 2))) or 1.0
     for cloud, colour, size, label in (
-        (pictures.friction, TRUTH, 4.5, "plant, F/J"),
-        (pictures.friction_hat, ESTIMATE, 1.6, "observer"),
+        (pictures.friction_hat, ESTIMATE, 4.5, "observer"),
+        (pictures.friction, TRUTH, 1.6, "plant, F/J"),
     ):
         if cloud is None:
             continue
@@ -267,7 +267,7 @@ def _friction(pictures: Pictures) -> Any:
         index = thin(len(v), SCATTER_POINTS)
         wide.plot(v[index], force[index], ".", color=colour, markersize=size, markeredgewidth=0, label=label, rasterized=True)
         last = slice(-round(LOOP_SECONDS / pictures.step), None)
-        width = 2.6 if colour == TRUTH else 0.9
+        width = 2.6 if colour == ESTIMATE else 0.9
         near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * slow, force[last], np.nan), color=colour, linewidth=width)
     set_labels(wide, y=f"friction over {'mass' if pictures.rig.position == 'm' else 'inertia'}, {pictures.rig.position}/s²")
     set_title(wide, "whole range")
@@ -291,14 +291,14 @@ def _validation(pictures: Pictures) -> Any:
     time = found.time
     for ax in (top, low):
         time_panel(ax, "second record", _part(time))
-    time_curve(top, time, found.measured * DEGREES, TRUTH, "plant", linewidth=1.8)
     for name in ("linear", "coulomb", "floor", "model"):
         if name in found.predictions:
             error = (found.predictions[name] - found.measured) * DEGREES
             time_curve(low, time, error, MODEL_COLOURS[name], MODEL_LABELS[name], linewidth=1.0)
     if "model" in found.predictions:
         model = found.predictions["model"] * DEGREES
-        time_curve(top, time, model, ESTIMATE, MODEL_LABELS["model"], linestyle=(0, (3, 2)))
+        time_curve(top, time, model, ESTIMATE, MODEL_LABELS["model"], linewidth=2.4)
+    time_curve(top, time, found.measured * DEGREES, TRUTH, "plant", linewidth=0.9)
     top.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
     set_labels(top, y="velocity, deg/s")
     set_labels(low, x="time, s (second record, open loop)", y="error, deg/s")

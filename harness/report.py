@@ -17,7 +17,7 @@ BANDS = (
     "Light blue: ±2 standard deviations, if the observer gives any. Grey and dashed: not valid. "
     "The vertical axis does not show the largest initial excursions."
 )
-LAST_SECONDS = "The picture, of which the plot is made where scripts run, shows the last ten seconds."
+LAST_SECONDS = "In print, and where scripts do not run: the last ten seconds."
 ERRORS = (
     "Errors and changes in percent of the true value. Settled: the last time at which the error exceeds 5 %; "
     "never, if it exceeds it at the end."
@@ -25,7 +25,7 @@ ERRORS = (
 CAPTIONS = {
     "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band in green. "
                   "Dotted green: the last time the error leaves the band. Above each: final error and that time. " + BANDS),
-    "signals": ("Signals", f"Of the run. {LAST_SECONDS}"),
+    "signals": ("Signals", f"The whole run. {LAST_SECONDS}"),
     "tracking": ("Tracking with compensation and without",
                  "Velocity and its difference from the reference, in this run and in one in which nothing of the observer reaches "
                  f"the controller. {LAST_SECONDS}"),
@@ -36,7 +36,7 @@ CAPTIONS = {
 }  # fmt: skip
 RECORD_CAPTIONS = {  # of a measured record, of which the true values are not known
     "estimates": ("Estimates over time", f"Blue: estimate. {BANDS}"),
-    "signals": ("Signals", f"Of the record. {LAST_SECONDS}"),
+    "signals": ("Signals", f"The whole record. {LAST_SECONDS}"),
     "friction": ("Friction curve", "Friction over inertia against velocity as the observer estimates them, viscous part included, "
                  "late in the record."),
 }  # fmt: skip
@@ -107,9 +107,9 @@ def _states(result: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
         return ""
     rows = [(_named(n, meanings), unit(s["unit"]), number(s["rms"], 3), number(s["late_rms"], 3), number(s["late_percent"], 3))
             for n, s in states.items()]  # fmt: skip
-    late = "rms error in the last tenth of the run"
-    head = ("state", "unit", "rms error", late, f"{late}, % of the standard deviation of the state")
-    return "<h2>State estimates</h2>" + table(head, rows, (2, 3, 4))
+    legend = "Late: rms error in the last tenth of the run, and in percent of the standard deviation of the state."
+    head = ("state", "unit", "rms error", "late", "late, %")
+    return "<h2>State estimates</h2>" + table(head, rows, (2, 3, 4)) + f'<p class="sub">{legend}</p>'
 
 
 def _validation(result: Mapping[str, Any]) -> str:

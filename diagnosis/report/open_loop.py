@@ -63,7 +63,7 @@ def horizon_figure(curves: Sequence[Curve], si: str) -> Any:
     found = [(curve, [(x, factor * y) for x, y in curve.horizons if math.isfinite(y) and y > 0]) for curve in curves]
     if not any(points for _, points in found):
         return None
-    figure = new_figure(7.0, 3.2)
+    figure = new_figure(11.0, 3.2)
     ax = figure.subplots()
     for curve, points in found:
         if points:
