@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bristle.common.time_plot import plot_data
+
 # colours by Okabe and Ito, which colour-blind readers can distinguish
 BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
+# what a colour stands for, in all figures; each has a contrast of 3 and more against white, most of 4.5 and can colour text
+TRUTH, MEASURED, ESTIMATE, REFERENCE, LIMIT = INK, "#878c96", BLUE, "#9c4f96", "#007a5a"
+OTHER, BASELINE, FAILED = "#b65c00", "#8c564b", "#b3440a"  # a second model or run, the simplest model, what is not as it must be
+ROLES = {
+    "truth": TRUTH, "measured": MEASURED, "estimate": ESTIMATE, "reference": REFERENCE, "limit": LIMIT,
+    "second model": OTHER, "simplest model": BASELINE, "failure": FAILED, "not valid": GREY,
+}  # fmt: skip
 DEGREES = 180.0 / math.pi
 THINNED_POINTS = 1200  # points of a curve, at most
+PATH, COORDINATE = re.compile(r'(?<= d=")[^"]*'), re.compile(r"-?\d+\.\d{2,}")  # of SVG text
 TICKS = 5  # intervals between ticks, at most
 MARGINS = (0.74, 0.15, 0.5, 0.36)  # margins left, right, below and above the axes [inch]
 BESIDE, LETTER = 0.16, 0.074  # both gaps beside the tick labels together, mean width of their letters [inch]
@@ -32,7 +43,16 @@ def thin(n: int, points: int = THINNED_POINTS) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, n - 1, min(n, points)).round().astype(np.intp))
 
 
-def svg(figure: Any, salt: str) -> str:
+class Drawing(str):
+    """SVG text of a figure.
+
+    `plot` holds the data of its time axes as JSON, nothing if it has none; `seen` says what it shows, for those who cannot see it.
+    """
+
+    plot, seen = "", ""
+
+
+def svg(figure: Any, salt: str) -> Drawing:
     """Return a figure as an <svg> element; `salt` keeps the ids of different figures apart."""
     from matplotlib import rc_context
     from matplotlib.ticker import AutoLocator
@@ -47,7 +67,15 @@ def svg(figure: Any, salt: str) -> str:
         warnings.filterwarnings("ignore", "Glyph")  # a record may have any name; characters that the font lacks are drawn as boxes
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
-    return text[text.index("<svg") :]
+    drawing = Drawing(PATH.sub(_shortened, text[text.index("<svg") :]))
+    drawing.plot = plot_data(figure)
+    return drawing
+
+
+def _shortened(path: re.Match[str]) -> str:
+    """Return the points of a path to a tenth of a point, without needless spaces: what is finer cannot be seen."""
+    rounded = COORDINATE.sub(lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), path[0])
+    return re.sub(r"\s*([A-Za-z])\s*", r"\1", rounded).strip()
 
 
 def _place_labels(figure: Any) -> None:

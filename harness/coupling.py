@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.common.html import identifier, number, page, table
+from bristle.common.html import beside, identifier, number, page, table
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.isolate import run_bus
@@ -210,7 +210,8 @@ def _page(found: Coupling) -> bytes:
     parts = [
         f"<header><h1>Coupling of {identifier(found.scenario)}</h1><p class='lead'>What the order of the FMUs and the"
         f" communication step change, against"
-        f" controller, observer and plant one after the other with steps of {found.step / REFINED:g} s.</p></header>"
+        f" controller, observer and plant one after the other with steps of {found.step / REFINED:g} s.</p>"
+        f"{beside(['coupling.json'])}</header>"
     ]
     parts += [f'<p class="alarm">{note}</p>' for note in found.notes]
     known = list(found.refined)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -19,7 +19,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.html import badge, identifier, page
+from bristle.common.html import badge, beside, identifier, page
 from bristle.common.output import output_folder, to_json
 from bristle.common.parameter_set import Value, finite_number, parameter_values
 from bristle.common.provenance import provenance
@@ -39,6 +39,7 @@ from bristle.harness.replay import (
     rows_of,
     signals_text,
     table_of,
+    tally_of,
     verdict_of,
 )
 
@@ -330,12 +331,14 @@ def _files(fmu: Path, replayed: Replayed) -> dict[str, str | bytes]:
     files: dict[str, str | bytes] = {"result.json": to_json({**about, "provenance": provenance()})}
     for k, each in enumerate(replayed.experiments, 1):
         files[f"signals_{k}.csv"] = signals_text(each.trace, [name for _, name in each.trace.record])
-    return files | {"report.html": _page(fmu, replayed)}
+    return files | {"report.html": _page(fmu, replayed, files)}
 
 
-def _page(fmu: Path, replayed: Replayed) -> str:
+def _page(fmu: Path, replayed: Replayed, files: Iterable[str]) -> str:
     head = badge("good", "pass") if replayed.passed else badge("bad", "fail")
-    body = f"<header><h1>Experiments of {identifier(fmu.name)} {head}</h1></header>"
+    found = [signal for each in replayed.experiments for signal in each.agreement]
+    count = f'<p class="tally">{tally_of(found)}</p>' if found else ""
+    body = f"<header>{count}<h1>Experiments of {identifier(fmu.name)} {head}</h1>{beside(files)}</header>"
     if replayed.changed:
         names = ", ".join(identifier(name) for name in replayed.changed)
         body += f'<p class="alarm">Not as they were when the FMU was made: {names}.</p>'

@@ -11,21 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import (
-    BLUE,
+    BASELINE,
     DEGREES,
-    GREEN,
+    ESTIMATE,
+    FAILED,
     GREY,
     INK,
-    ORANGE,
-    PALE,
-    RED,
+    LIMIT,
+    MEASURED,
+    OTHER,
+    REFERENCE,
     STYLE,
+    TRUTH,
+    Drawing,
     new_figure,
     set_labels,
     set_title,
     svg,
     thin,
 )
+from bristle.common.time_plot import time_band, time_curve, time_mark, time_panel
+from bristle.harness.figure_text import MODEL_LABELS, seen
 from bristle.harness.metrics import SETTLING_BAND, Course
 from bristle.harness.rig import Rig
 from bristle.harness.tracking import Tracking
@@ -42,15 +48,9 @@ PLAIN_SYMBOLS = {  # of the parameters, as plain characters: mathematical typese
     "alpha2": "α₂", "b": "b", "Fc": "Fc", "sigma0": "σ₀", "sigma1": "σ₁", "sigma2": "σ₂", "c": "c", "tau": "τ",
     "a0": "a₀", "a1": "a₁", "v0": "v₀",
 }  # fmt: skip
-MODEL_LABELS = {  # of the models that are compared
-    "model": "observer's model",
-    "floor": "best-fit floor: fitted 7-parameter model",
-    "coulomb": "fitted viscous + Coulomb",
-    "linear": "fitted viscous",
-}
 INPUT_LABELS = {"V": "voltage, V", "A": "current, A", "N.m": "torque, N·m", "N": "force, N"}  # by the unit of the input
 SPEED_SCALES = {"rad": (DEGREES, "deg/s"), "m": (1.0, "m/s")}  # by the unit of the position: factor and unit on the axes
-MODEL_COLOURS = {"model": BLUE, "floor": GREEN, "coulomb": ORANGE, "linear": GREY}
+MODEL_COLOURS = {"model": ESTIMATE, "floor": LIMIT, "coulomb": OTHER, "linear": BASELINE}
 
 
 @dataclass
@@ -85,7 +85,7 @@ class Pictures:
         return f"velocity, {SPEED_SCALES[self.rig.position][1]}"
 
 
-def draw(pictures: Pictures) -> dict[str, str]:
+def draw(pictures: Pictures) -> dict[str, Drawing]:
     """Return the figures by name, each an <svg> element."""
     from matplotlib import rc_context
 
@@ -93,11 +93,12 @@ def draw(pictures: Pictures) -> dict[str, str]:
     with rc_context(STYLE):
         for name, painter in (
             ("estimates", _estimates), ("signals", _signals), ("tracking", _tracking), ("friction", _friction),
-            ("validation", _validation),
+            ("validation", _validation), ("models", _models),
         ):  # fmt: skip
             figure = painter(pictures)
             if figure is not None:
                 made[name] = svg(figure, name)
+                made[name].seen = seen(name, pictures)
     return made
 
 
@@ -132,41 +133,44 @@ def _estimates(pictures: Pictures) -> Any:
 
 def _estimate(ax: Any, pictures: Pictures, name: str) -> None:
     facts, course = pictures.estimates[name], pictures.published[name]
-    hat = course.hat
-    index = thin(len(hat))
-    time = pictures.time[index]
-    unit = _unit(facts["unit"])
+    time, unit = pictures.time, _unit(facts["unit"])
     set_title(ax, f"{PLAIN_SYMBOLS.get(name, name)}" + (f",  {unit}" if unit else ""))
+    time_panel(ax)
     true = pictures.true.get(name)
     if true is not None:
-        level = true[index]
-        ax.fill_between(
-            time, level * (1 - SETTLING_BAND / 100), level * (1 + SETTLING_BAND / 100), color=GREY, alpha=0.22, linewidth=0
-        )
-        ax.plot(time, level, color=INK, linestyle=(0, (4, 3)), linewidth=1.1)
+        level = true if np.ptp(true) else true[[0, -1]]
+        when = time if np.ptp(true) else time[[0, -1]]
+        time_band(ax, when, level * (1 - SETTLING_BAND / 100), level * (1 + SETTLING_BAND / 100), LIMIT, 0.16)
+        time_curve(ax, when, level, TRUTH, "true value", linestyle=(0, (4, 3)), linewidth=1.1)
     _limits(ax, course, true)
-    _course(ax, time, course, index)
-    ax.set_xlim(0, pictures.time[-1] or 1.0)
+    _course(ax, time, course)
+    ax.set_xlim(0, time[-1] or 1.0)
     ax.yaxis.get_offset_text().set_x(-0.22)  # a factor of the ticks, which would cover the title
     settled, error = facts.get("settling_s"), facts.get("error_percent")
     if settled and math.isfinite(settled):
-        ax.axvline(settled, color=GREEN, linewidth=1.0, linestyle=":")
+        time_mark(ax, settled, LIMIT)
     if not facts["valid"]:
-        set_title(ax, "not valid", loc="right", fontsize=8, color=RED)
+        set_title(ax, "not valid", loc="right", fontsize=8, color=FAILED)
     elif error is not None and math.isfinite(error):
-        when = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
-        set_title(ax, f"{error:+.2g} %, {when}", loc="right", fontsize=8, color=GREEN if abs(error) <= SETTLING_BAND else RED)
+        when_settled = f"{settled:.3g} s" if settled is not None and math.isfinite(settled) else "not settled"
+        inside = abs(error) <= SETTLING_BAND
+        set_title(ax, f"{error:+.2g} %, {when_settled}", loc="right", fontsize=8, color=LIMIT if inside else FAILED)
 
 
-def _course(ax: Any, time: Array, course: Course, index: NDArray[np.intp]) -> None:
+def _course(ax: Any, time: Array, course: Course) -> None:
     """Draw an estimate with its band: in colour where it is valid, grey and dashed where it is not."""
-    valid, hat = course.valid[index].astype(bool), course.hat[index]
-    spread = np.zeros(len(index)) if course.sd is None else SPREAD * course.sd[index]
-    for chosen, colour, style in ((~valid, GREY, (0, (2, 2))), (valid, BLUE, "solid")):
-        shown = np.where(chosen, hat, np.nan)
-        if spread.any():
-            ax.fill_between(time, shown - spread, shown + spread, color=colour, alpha=0.25, linewidth=0)
-        ax.plot(time, shown, color=colour, linestyle=style)
+    valid = course.valid.astype(bool)
+    spread = None if course.sd is None or not course.sd.any() else SPREAD * course.sd
+    for chosen, colour, style, label in (
+        (~valid, GREY, (0, (2, 2)), "estimate, not valid"),
+        (valid, ESTIMATE, "solid", "estimate"),
+    ):
+        if not chosen.any():
+            continue
+        shown = np.where(chosen, course.hat, np.nan)
+        if spread is not None:
+            time_band(ax, time, shown - spread, shown + spread, colour, 0.25)
+        time_curve(ax, time, shown, colour, label, linestyle=style)
 
 
 def _limits(ax: Any, course: Course, true: Array | None) -> None:
@@ -192,34 +196,32 @@ def _limits(ax: Any, course: Course, true: Array | None) -> None:
 # -- signals ---------------------------------------------------------------------------------------------------------
 
 
-def _window(time: Array) -> slice:
-    """Return the last seconds of a run."""
-    first = int(np.searchsorted(time, time[-1] - SHOWN_SECONDS))
-    return slice(first, len(time))
+def _part(time: Array) -> tuple[float, float]:
+    """Return where the last seconds of a run begin and end."""
+    return max(float(time[0]), float(time[-1]) - SHOWN_SECONDS), float(time[-1])
 
 
 def _signals(pictures: Pictures) -> Any:
-    signals, part = pictures.signals, _window(pictures.time)
-    if "v" not in signals or len(pictures.time[part]) < 2:
+    signals, time = pictures.signals, pictures.time
+    if "v" not in signals or len(time) < 2:
         return None
     figure = new_figure(11.0, 4.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
-    index = np.arange(len(pictures.time))[part]
-    index = index[thin(len(index), 2000)]
-    time = pictures.time[index]
-    measured = "measured velocity" if pictures.measured else "velocity"
-    curves = (("reference", PALE, "reference"), ("v", BLUE, measured), ("v_hat", ORANGE, "observer's estimate"))
-    for key, colour, label in curves:
-        if key in signals and np.isfinite(signals[key][index]).any():
-            style: dict[str, Any] = {"linestyle": (0, (3, 2)), "linewidth": 1.2} if key == "v_hat" else {}
-            style |= {"linewidth": 0.9} if key == "reference" else {}
-            top.plot(time, signals[key][index] * pictures.speed_scale, color=colour, label=label, **style)
+    time_panel(top, part=_part(time))
+    shown = (MEASURED, "measured velocity", {"linewidth": 0.9}) if pictures.measured else (TRUTH, "velocity", {"linewidth": 0.9})
+    curves = (
+        ("reference", REFERENCE, "reference", {"linewidth": 0.9}),
+        ("v_hat", ESTIMATE, "estimate of the velocity", {"linewidth": 2.4}), ("v", *shown),
+    )  # fmt: skip
+    for key, colour, label, style in curves:
+        if key in signals and np.isfinite(signals[key]).any():
+            time_curve(top, time, signals[key] * pictures.speed_scale, colour, label, **style)
     set_labels(top, y=pictures.speed_label)
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.16))
+    time_panel(bottom, part=_part(time))
     if "u" in signals:
-        bottom.plot(time, signals["u"][index], color=INK, linewidth=1.0)
+        time_curve(bottom, time, signals["u"], INK, linewidth=1.0)
     set_labels(bottom, x="time, s", y=INPUT_LABELS[pictures.rig.input])
-    bottom.set_xlim(time[0], time[-1])
     return figure
 
 
@@ -232,18 +234,17 @@ def _tracking(pictures: Pictures) -> Any:
         return None
     figure = new_figure(11.0, 4.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1, 1.3])
-    index = np.arange(len(found.time))[_window(found.time)]
-    index = index[thin(len(index), 2000)]
-    time = found.time[index]
-    top.plot(time, found.reference[index] * DEGREES, color=INK, linewidth=0.9, label="reference")
-    for error, colour, label in ((found.alone, ORANGE, "controller alone"), (found.compensated, BLUE, "with compensation")):
-        top.plot(time, (found.reference - error)[index] * DEGREES, color=colour, linewidth=1.0)
-        bottom.plot(time, error[index] * DEGREES, color=colour, linewidth=1.0, label=label)
+    time = found.time
+    for ax in (top, bottom):
+        time_panel(ax, part=_part(time))
+    time_curve(top, time, found.reference * DEGREES, REFERENCE, "reference", linewidth=0.9)
+    for error, colour, label in ((found.alone, OTHER, "controller alone"), (found.compensated, ESTIMATE, "with compensation")):
+        time_curve(top, time, (found.reference - error) * DEGREES, colour, linewidth=1.0)
+        time_curve(bottom, time, error * DEGREES, colour, label, linewidth=1.0)
     bottom.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
     top.legend(loc="upper right", bbox_to_anchor=(1.0, 1.2))
     set_labels(top, y="velocity, deg/s")
     set_labels(bottom, x="time, s", y="tracking error, deg/s")
-    bottom.set_xlim(time[0], time[-1])
     return figure
 
 
@@ -257,8 +258,8 @@ def _friction(pictures: Pictures) -> Any:
     wide, near = figure.subplots(1, 2, width_ratios=[1.25, 1])
     slow = LOOP_SPEED * pictures.speed_scale * float(np.sqrt(np.mean(pictures.signals["v"] ** 2))) or 1.0
     for cloud, colour, size, label in (
-        (pictures.friction, PALE, 4.5, "plant, F/J"),
-        (pictures.friction_hat, BLUE, 1.6, "observer"),
+        (pictures.friction_hat, ESTIMATE, 4.5, "observer"),
+        (pictures.friction, TRUTH, 1.6, "plant, F/J"),
     ):
         if cloud is None:
             continue
@@ -266,8 +267,8 @@ def _friction(pictures: Pictures) -> Any:
         index = thin(len(v), SCATTER_POINTS)
         wide.plot(v[index], force[index], ".", color=colour, markersize=size, markeredgewidth=0, label=label, rasterized=True)
         last = slice(-round(LOOP_SECONDS / pictures.step), None)
-        line = {"linewidth": 2.6, "color": PALE} if colour == PALE else {"linewidth": 0.9, "color": BLUE}
-        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * slow, force[last], np.nan), **line)
+        width = 2.6 if colour == ESTIMATE else 0.9
+        near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * slow, force[last], np.nan), color=colour, linewidth=width)
     set_labels(wide, y=f"friction over {'mass' if pictures.rig.position == 'm' else 'inertia'}, {pictures.rig.position}/s²")
     set_title(wide, "whole range")
     set_title(near, f"near rest, the last {LOOP_SECONDS:g} s: presliding loops")
@@ -285,27 +286,30 @@ def _validation(pictures: Pictures) -> Any:
     found = pictures.validation
     if found is None:
         return None
-    figure = new_figure(11.0, 4.6)
-    grid = figure.add_gridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[1.5, 1])
-    top = figure.add_subplot(grid[0, 0])
-    low = figure.add_subplot(grid[1, 0], sharex=top)
-    bars = figure.add_subplot(grid[:, 1])
-    index = np.arange(len(found.time))[_window(found.time)]
-    index = index[thin(len(index), 1500)]
-    time = found.time[index]
-    top.plot(time, found.measured[index] * DEGREES, color=INK, linewidth=2.2, alpha=0.35, label="plant")
+    figure = new_figure(11.0, 4.2)
+    top, low = figure.subplots(2, 1, sharex=True, height_ratios=[1.5, 1])
+    time = found.time
+    for ax in (top, low):
+        time_panel(ax, "second record", _part(time))
     for name in ("linear", "coulomb", "floor", "model"):
         if name in found.predictions:
-            error = (found.predictions[name] - found.measured)[index] * DEGREES
-            low.plot(time, error, color=MODEL_COLOURS[name], linewidth=1.0)
+            error = (found.predictions[name] - found.measured) * DEGREES
+            time_curve(low, time, error, MODEL_COLOURS[name], MODEL_LABELS[name], linewidth=1.0)
     if "model" in found.predictions:
-        top.plot(time, found.predictions["model"][index] * DEGREES, color=BLUE, linestyle=(0, (3, 2)), label=MODEL_LABELS["model"])
+        model = found.predictions["model"] * DEGREES
+        time_curve(top, time, model, ESTIMATE, MODEL_LABELS["model"], linewidth=2.4)
+    time_curve(top, time, found.measured * DEGREES, TRUTH, "plant", linewidth=0.9)
     top.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.16))
     set_labels(top, y="velocity, deg/s")
-    top.tick_params(labelbottom=False)
     set_labels(low, x="time, s (second record, open loop)", y="error, deg/s")
-    low.set_xlim(time[0], time[-1])
-    _bars(bars, found.scores)
+    return figure
+
+
+def _models(pictures: Pictures) -> Any:
+    if pictures.validation is None:
+        return None
+    figure = new_figure(11.0, 2.6)
+    _bars(figure.subplots(), pictures.validation.scores)
     return figure
 
 
@@ -316,7 +320,7 @@ def _bars(ax: Any, scores: Mapping[str, float]) -> None:
     set_title(ax, "MSE, % of variance (log scale)")
     ax.grid(axis="y", visible=False)
     if not shown:
-        ax.text(0.5, 0.5, "no model could be scored", ha="center", transform=ax.transAxes, color=GREY)
+        ax.text(0.5, 0.5, "no model could be scored", ha="center", transform=ax.transAxes, color=INK)
         ax.set_axis_off()
         return
     values = [max(value, 1e-14) for _, value in shown]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bristle.common.errors import BristleError, suggest
-from bristle.common.html import badge, identifier, page
+from bristle.common.html import badge, beside, identifier, page
 from bristle.common.output import output_folder, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.common.signals import table_text
@@ -35,6 +35,7 @@ from bristle.harness.replay import (
     rows_of,
     signals_text,
     table_of,
+    tally_of,
     verdict_of,
 )
 from bristle.harness.run import Options, Outcome, check, outcome
@@ -360,5 +361,7 @@ def _page(package: Package, found: Replayed) -> str:
     text = "Largest difference from the reference, over the range of the signal, and when." if found.compared else \
         "The package holds no reference to compare with."  # fmt: skip
     failure = f'<p class="alarm">{escape(found.failure)}</p>' if found.failure else ""
-    body = f"<header><h1>Replay of {identifier(package.path.name)} {head}</h1></header>{failure}<p>{text}</p>"
+    count = f'<p class="tally">{tally_of(found.agreement)}</p>' if found.compared else ""
+    title = f"<h1>Replay of {identifier(package.path.name)} {head}</h1>"
+    body = f"<header>{count}{title}{beside(('signals.csv', 'result.json'))}</header>{failure}<p>{text}</p>"
     return page(f"replay of {package.path.name}", body + table_of(found.agreement))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bristle.common.errors import BristleError
-from bristle.common.html import badge, identifier, number, table
+from bristle.common.html import badge, identifier, number, table, tally
 from bristle.common.signals import Array, table_text
 from bristle.harness.loop import Trace
 
@@ -112,6 +112,11 @@ def signals_text(trace: Trace, names: Sequence[str]) -> str:
 def rows_of(found: Sequence[Agreement]) -> list[dict[str, Any]]:
     """Return them as result.json has them."""
     return [{"name": e.name, "worst": e.worst, "time_s": e.time, "limit": e.limit, "pass": e.holds, "why": e.why} for e in found]
+
+
+def tally_of(found: Sequence[Agreement]) -> str:
+    """Return how many of them agree, for the top of a page."""
+    return tally(sum(each.holds for each in found), len(found), "signals agree")
 
 
 def table_of(found: Sequence[Agreement]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from bristle.common.html import badge, figure, identifier, number, page, table, unit
+from bristle.common.html import badge, beside, figure, identifier, number, page, table, tally, unit
 from bristle.harness.metrics import SIGNS, check_unit
 
 GREEK = {"alpha2": "α<sub>2</sub>", "b": "b", "Fc": "F<sub>c</sub>", "sigma0": "σ<sub>0</sub>", "sigma1": "σ<sub>1</sub>",
@@ -17,24 +17,26 @@ BANDS = (
     "Light blue: ±2 standard deviations, if the observer gives any. Grey and dashed: not valid. "
     "The vertical axis does not show the largest initial excursions."
 )
+LAST_SECONDS = "In print, and where scripts do not run: the last ten seconds."
 ERRORS = (
     "Errors and changes in percent of the true value. Settled: the last time at which the error exceeds 5 %; "
     "never, if it exceeds it at the end."
 )
 CAPTIONS = {
-    "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band. "
+    "estimates": ("Estimates over time", "Blue: estimate. Dashed: true value, with its ±5 % band in green. "
                   "Dotted green: the last time the error leaves the band. Above each: final error and that time. " + BANDS),
-    "signals": ("Signals", "The last ten seconds of the run."),
+    "signals": ("Signals", f"The whole run. {LAST_SECONDS}"),
     "tracking": ("Tracking with compensation and without",
-                 "The last ten seconds: velocity and its difference from the reference, in this run and in one in which nothing of "
-                 "the observer reaches the controller."),
+                 "Velocity and its difference from the reference, in this run and in one in which nothing of the observer reaches "
+                 f"the controller. {LAST_SECONDS}"),
     "friction": ("Friction curve", "Friction over inertia against velocity, viscous part included, late in the run."),
-    "validation": ("Validation on a second record", "Open loop from rest: the models get the voltage only. Left: the last ten "
-                   "seconds and the errors of all models. Right: eq. (25), 100 var(error)/var(velocity)."),
+    "validation": ("Validation on a second record", "Open loop from rest: the models get the voltage only. Below: the errors of "
+                   f"all models. {LAST_SECONDS}"),
+    "models": ("Errors of the models on the second record", "Eq. (25), 100 var(error)/var(velocity)."),
 }  # fmt: skip
 RECORD_CAPTIONS = {  # of a measured record, of which the true values are not known
     "estimates": ("Estimates over time", f"Blue: estimate. {BANDS}"),
-    "signals": ("Signals", "The last ten seconds of the record."),
+    "signals": ("Signals", f"The whole record. {LAST_SECONDS}"),
     "friction": ("Friction curve", "Friction over inertia against velocity as the observer estimates them, viscous part included, "
                  "late in the record."),
 }  # fmt: skip
@@ -105,9 +107,9 @@ def _states(result: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
         return ""
     rows = [(_named(n, meanings), unit(s["unit"]), number(s["rms"], 3), number(s["late_rms"], 3), number(s["late_percent"], 3))
             for n, s in states.items()]  # fmt: skip
-    late = "rms error in the last tenth of the run"
-    head = ("state", "unit", "rms error", late, f"{late}, % of the standard deviation of the state")
-    return "<h2>State estimates</h2>" + table(head, rows, (2, 3, 4))
+    legend = "Late: rms error in the last tenth of the run, and in percent of the standard deviation of the state."
+    head = ("state", "unit", "rms error", "late", "late, %")
+    return "<h2>State estimates</h2>" + table(head, rows, (2, 3, 4)) + f'<p class="sub">{legend}</p>'
 
 
 def _validation(result: Mapping[str, Any]) -> str:
@@ -200,9 +202,12 @@ def render(
     done = f"{result['duration_s']:g} s measured, {steps} samples" if "record" in result else \
         f"{result['duration_s']:g} s simulated in {steps} steps"  # fmt: skip
     simulated = f"{done}; the whole run took {result['wall_s']:.1f} s"
-    body = f"""<header><p class="name">{escape(result["scenario"])}</p>
+    held = sum(bool(check["pass"]) for check in result["checks"])
+    data = beside(["signals.csv", "result.json", *(f"{name}.svg" for name in figures)])
+    body = f"""<header><p class="tally">{tally(held, len(result["checks"]), "checks")}</p>
+<p class="name">{escape(result["scenario"])}</p>
 <h1>{escape(title)} {_verdict(result["verdict"] == "pass")}</h1>
-<p class="lead">{escape(about.get("shows", ""))}</p><p class="sub">{simulated}</p></header>
+<p class="lead">{escape(about.get("shows", ""))}</p><p class="sub">{simulated}</p>{data}</header>
 {notes}
 <h2>Verdict</h2>{_checks(result)}
 <h2>Estimates</h2>{_estimates(result, meanings)}

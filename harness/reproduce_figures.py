@@ -10,35 +10,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import (
-    BLUE,
     DEGREES,
-    GREEN,
+    ESTIMATE,
+    FAILED,
     GREY,
     INK,
-    ORANGE,
-    PALE,
-    RED,
+    LIMIT,
+    MEASURED,
+    OTHER,
+    REFERENCE,
     STYLE,
+    TRUTH,
+    Drawing,
     new_figure,
     set_labels,
     set_title,
     svg,
 )
-from bristle.harness.figures import MODEL_COLOURS, MODEL_LABELS, PLAIN_SYMBOLS
+from bristle.common.time_plot import time_curve, time_panel
+from bristle.harness.figure_text import MODEL_LABELS
+from bristle.harness.figures import MODEL_COLOURS, PLAIN_SYMBOLS
 from bristle.harness.paper import PRINTED
 from bristle.harness.reproduce import BASELINE_SCHEME, FILTER_ORDERS, LETTERS, SCHEMES, Case, Comparison, Key
 
 Array = NDArray[np.float64]
 
-SCHEME_COLOURS = {"printed": RED, "repaired": ORANGE, "best": BLUE}
-STEP1 = {"alpha2": BLUE, "b": ORANGE}
-STEP2 = {"sigma0": BLUE, "sigma1": ORANGE, "sigma2": GREEN, "c": RED}
+SCHEME_COLOURS = {"printed": FAILED, "repaired": OTHER, "best": ESTIMATE}
+# several estimates in one pair of axes need several colours
+STEP1 = {"alpha2": ESTIMATE, "b": OTHER}
+STEP2 = {"sigma0": ESTIMATE, "sigma1": OTHER, "sigma2": LIMIT, "c": FAILED}
 TAKEN_LARGER = {"step1": 1.0, "step2": 100.0}  # parameters of set S over the printed levels
 DASHED: Any = (0, (4, 3))
 SHOWN_SPEED = 100.0  # deg/s: right end of Fig. 1
 
 
-def draw(found: Comparison) -> dict[str, str]:
+def draw(found: Comparison) -> dict[str, Drawing]:
     """Return the figures by name, each an <svg> element."""
     from matplotlib import rc_context
 
@@ -99,7 +105,7 @@ def _stribeck(found: Comparison) -> Any:
     ax.text(v0, 0.02 * top, " v₀", ha="left", va="bottom", color=INK)
     for name, (v, curve) in found.curves.items():
         label = "original LuGre law, set L0" if name == "plant" else LETTERS[name]
-        style = {"linewidth": 5.0, "color": PALE} if name == "plant" else {"color": SCHEME_COLOURS[name]}
+        style = {"linewidth": 5.0, "color": TRUTH} if name == "plant" else {"color": SCHEME_COLOURS[name]}
         ax.plot(v * DEGREES, curve, label=label, **style)
     ax.set_xlim(0, SHOWN_SPEED)
     ax.set_ylim(0, top)
@@ -117,9 +123,9 @@ def _reference(found: Comparison) -> Any:
     figure.subplots_adjust(wspace=0.08)
     for ax, order in zip(axes, FILTER_ORDERS, strict=True):
         case = _case(found, BASELINE_SCHEME, order=order)
-        ax.plot(case.sample_time, case.reference * DEGREES, color=INK, linewidth=1.1)
+        time_panel(ax, "reference", found.window("reference_window"))
+        time_curve(ax, case.sample_time, case.reference * DEGREES, REFERENCE, linewidth=1.1)
         set_title(ax, f"order {order}: {'one section' if order == 1 else 'two sections'} of 5 rad/s")
-        ax.set_xlim(*found.window("reference_window"))
         set_labels(ax, x="time, s")
     axes[0].set_ylim(*(1.08 * value for value in PRINTED["reference_range"].values))
     set_labels(axes[0], y="reference, deg/s")
@@ -148,15 +154,15 @@ def _estimates(found: Comparison, colours: dict[str, str], step: str, unit: str)
     for ax, scheme in zip(axes, SCHEMES, strict=True):
         case = _case(found, scheme)
         begin = case.begin if step == "step2" else 0.0
+        time_panel(ax, step, (first, last))
         for name, colour in colours.items():
             level = larger * PRINTED[name].values[0]
             ax.axhline(level, color=colour, linestyle=DASHED, linewidth=0.9, alpha=0.7)
             if name in case.hats:
-                ax.plot(case.time - begin, case.hats[name], color=colour, label=PLAIN_SYMBOLS[name])
+                time_curve(ax, case.time - begin, case.hats[name], colour, PLAIN_SYMBOLS[name])
         set_title(ax, LETTERS[scheme])
         if failed := case.result.get("diverged"):
-            ax.text(0.5, 0.5, f"diverged at {failed['time_s']:.3g} s", transform=ax.transAxes, ha="center", color=RED)
-        ax.set_xlim(first, last)
+            ax.text(0.5, 0.5, f"diverged at {failed['time_s']:.3g} s", transform=ax.transAxes, ha="center", color=FAILED)
         set_labels(ax, x=f"time, s{', from the start of step 2' if begin else ''}")
     axes[0].set_ylim(low, high)
     set_labels(axes[0], y=unit)
@@ -190,6 +196,8 @@ def _validation(found: Comparison) -> Any:
         top = figure.add_subplot(grid[row, column])
         low = figure.add_subplot(grid[row + 1, column])
         case = _case(found, scheme)
+        for ax in (top, low):
+            time_panel(ax, "second record", (first, last))
         _overlay(top, low, case, model, colour)
         row_of = found.content["eq25"][0]
         score = row_of["linear" if model == "linear" else scheme]
@@ -199,7 +207,6 @@ def _validation(found: Comparison) -> Any:
         top.set_ylim(*PRINTED["validation_range"].values)
         low.set_ylim(-120, 120)
         for ax in (top, low):
-            ax.set_xlim(first, last)
             ax.tick_params(labelleft=column == 0)
         top.tick_params(labelbottom=False)
         if column == 0:
@@ -214,11 +221,11 @@ def _validation(found: Comparison) -> Any:
 
 def _overlay(top: Any, low: Any, case: Case, model: str, colour: str) -> None:
     time, measured = case.validation_time, case.measured * DEGREES
-    top.plot(time, measured, color=PALE, linewidth=2.4, label="measured")
+    time_curve(top, time, measured, MEASURED, "measured", linewidth=2.4)
     if model not in case.predictions:
         why = "no prediction" if case.model.remark is None else case.model.remark.text
-        top.text(0.5, 0.85, why, transform=top.transAxes, ha="center", color=RED, fontsize=8)
+        top.text(0.5, 0.85, why, transform=top.transAxes, ha="center", color=FAILED, fontsize=8)
         return
     predicted = case.predictions[model] * DEGREES
-    top.plot(time, predicted, color=colour, linewidth=1.1, label="predicted")
-    low.plot(time, predicted - measured, color=colour, linewidth=0.9)
+    time_curve(top, time, predicted, colour, "predicted", linewidth=1.1)
+    time_curve(low, time, predicted - measured, colour, linewidth=0.9)

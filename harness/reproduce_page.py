@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from bristle.common.html import badge, figure, identifier, number, page, table, unit
+from bristle.common.html import badge, beside, figure, identifier, number, page, table, tally, unit
 from bristle.harness.paper import FIGURES, PRINTED, PrintedFigure
 from bristle.harness.report import GREEK
 from bristle.harness.reproduce import COMPARED, LETTERS, SCHEMES, TEST_PLANTS
@@ -55,12 +55,15 @@ def render(content: Mapping[str, Any], figures: Mapping[str, str]) -> str:
     verdict = badge("good", "pass") if content["verdict"] == "pass" else badge("bad", "fail")
     schemes = "".join(f"<li>{_scheme(name, content)}</li>" for name in SCHEMES)
     short = "" if content["share"] == 1 else f'<p class="alarm">Shortened to {content["share"]:g} of the paper\'s durations.</p>'
-    body = f"""<header><p class="name">{escape(content["paper"])}</p>
+    checks = [bool(check["pass"]) for run in content["runs"] if run["order"] == 1 for check in run["checks"]]
+    data = beside(["reproduce.json", *(f"{name}.svg" for name in figures)])
+    body = f"""<header><p class="tally">{tally(sum(checks), len(checks), "checks")}</p>
+<p class="name">{escape(content["paper"])}</p>
 <h1>The paper, figure by figure {verdict}</h1>
 <p class="lead">Figures 1 and 3 to 6 and the numbers of section IV. The rig and its records are not public: all that follows is
 simulated, on a plant that has the parameters which the paper found, and on one with the original LuGre law.</p>
 <p class="sub">made by <code>bristle reproduce</code> {escape(content["provenance"]["version"])} on
-{escape(content["provenance"]["date"])} in {content["wall_s"]:.0f} s</p></header>{short}
+{escape(content["provenance"]["date"])} in {content["wall_s"]:.0f} s</p>{data}</header>{short}
 <ul>{schemes}</ul>
 <h2>What 4 to 6 % is worth</h2>{_worth(content)}
 {figure("Eq. (25) of all models", figures["eq25"], "Each row is a record; the models were identified on another one.")}

@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import quote
 from xml.etree import ElementTree
 
-from bristle.common.html import badge, identifier, number, page, table, unit
+from bristle.common.html import badge, beside, identifier, number, page, table, tally, unit
 from bristle.common.xml import printable
 from bristle.harness.metrics import SIGNS, check_unit
 from bristle.harness.suite import CaseResult, CheckSummary, by_scenario, summaries
@@ -72,8 +72,14 @@ def junit(tested: Sequence[CaseResult]) -> bytes:
 def render(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> str:
     """Return index.html: each scenario with its checks over all runs, and all runs with links to their reports."""
     passed = sum(each.verdict == "pass" for each in tested)
-    head = badge(VERDICT_BADGES[verdict(tested)], f"{passed} of {len(tested)} runs pass")
-    parts = [f"<header><h1>Scenario suite {head}</h1></header>", "<h2>Scenarios</h2>", _overview(tested)]
+    held = [bool(check["pass"]) for each in tested for check in each.checks]
+    head = f'<p class="tally">{tally(passed, len(tested), "runs pass")} {tally(sum(held), len(held), "checks")}</p>'
+    word = badge(VERDICT_BADGES[verdict(tested)], verdict(tested))
+    parts = [
+        f"<header>{head}<h1>Scenario suite {word}</h1>{beside(['suite.json'])}</header>",
+        "<h2>Scenarios</h2>",
+        _overview(tested),
+    ]
     parts += [_scenario(path, runs) for path, runs in by_scenario(tested).items()]
     rows = [f"<dt>{key}</dt><dd>{escape(str(value))}</dd>" for key, value in provenance.items()]
     parts.append(f"<h2>Where it comes from</h2><dl>{''.join(rows)}</dl>")

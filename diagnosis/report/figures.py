@@ -4,39 +4,39 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import (
-    BLUE,
-    GREEN,
+    ESTIMATE,
     GREY,
     INK,
-    ORANGE,
+    LIMIT,
+    MEASURED,
+    OTHER,
     PALE,
-    RED,
     STYLE,
+    Drawing,
     new_figure,
     set_labels,
     set_title,
     svg,
-    thin,
 )
+from bristle.common.time_plot import time_curve, time_panel, time_span
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.axes import shown
-from bristle.diagnosis.report.open_loop import whole_figure
+from bristle.diagnosis.report.open_loop import horizon_figure, horizons_seen, open_loop_figure, whole_curves, worst
 from bristle.diagnosis.report.result import Diagnosis, Round, Trace, View
 from bristle.diagnosis.report.text import AXES, NATS, effect_name, view_name
 from bristle.plant.wording import Wording
 
 Array = NDArray[np.float64]
-BEFORE, AFTER = ORANGE, BLUE
+BEFORE, AFTER = OTHER, ESTIMATE
 OVERLAY_SECONDS = 4.0  # of the overlay
 ERROR_SLICE = 0.2  # s over which the errors along the records are averaged
-CURVE_POINTS = 2000  # points of a curve of the overlay
 LABEL: Any = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
 DRAWN_MAPS = 3  # views that are drawn
 DRAWN_BARS = 9  # candidates of a round that are drawn
@@ -62,7 +62,7 @@ def view_axis(model: Model, view: str, period: float | None = None) -> tuple[flo
     return factor, f"{name}, {unit.replace('.', '·')}" if unit else name
 
 
-def draw(diagnosis: Diagnosis) -> dict[str, str]:
+def draw(diagnosis: Diagnosis) -> dict[str, Drawing]:
     """Return the figures by name, each an <svg> element; a figure without data is left out."""
     from matplotlib import rc_context
 
@@ -75,9 +75,11 @@ def draw(diagnosis: Diagnosis) -> dict[str, str]:
             ("unnamed", _unnamed(diagnosis)),
             ("candidates", _candidates(diagnosis)),
             ("open_loop", _open_loop(diagnosis)),
+            ("horizons", _horizons(diagnosis)),
         ):
             if figure is not None:
                 made[name] = svg(figure, name)
+                made[name].seen = _SEEN[name](diagnosis)
     return made
 
 
@@ -119,8 +121,8 @@ def _gap(diagnosis: Diagnosis) -> Any:
         both = f" ({math.sqrt(square):.3g} {output_unit})" if unit != output_unit else ""  # as the sentences have it
         ax.text(value + 0.006 * right, row, f"{name}: {value:.3g} {unit}{both}", va="center", color=INK)
     if math.isfinite(floor):
-        ax.axvspan(0, floor, color=INK, alpha=0.13, linewidth=0, zorder=3)
-        ax.axvline(floor, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
+        ax.axvspan(0, floor, color=LIMIT, alpha=0.16, linewidth=0, zorder=3)
+        ax.axvline(floor, color=LIMIT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=4)
         ax.text(floor, -0.52, f" noise floor {floor:.3g} {unit}", va="bottom", color=INK, fontsize=8.5)
     ax.set_xlim(0, right)
     ax.set_ylim(len(rows) - 0.55, -0.95)
@@ -170,19 +172,17 @@ def _overlay(diagnosis: Diagnosis) -> Any:
     along, top, low = (figure.add_subplot(grid[row]) for row in range(3))
     _along(along, trace, part, model, both)
     factor, unit = shown(model.output_unit)
-    index = np.arange(len(trace.time))[part]
-    index = index[thin(len(index), CURVE_POINTS)]
-    time = trace.time[index]
+    time, measured = trace.time, factor * trace.measured
     curves = [("before", trace.before, BEFORE, "-"), ("after", trace.after, AFTER, (0, (3, 2)))][: 2 if both else 1]
-    top.plot(time, factor * trace.measured[index], color=INK, linewidth=3.0, alpha=0.28, label="measured")
+    for ax in (top, low):
+        time_panel(ax, trace.name, (float(time[part][0]), float(time[part][-1])))
+        _shade(ax, time, trace.held_out)
+    time_curve(top, time, measured, MEASURED, "measured", linewidth=2.6)
     for name, values, colour, style in curves:
         label = f"simulated, {name}" if both else "simulated, refitted model"
-        top.plot(time, factor * values[index], color=colour, linestyle=style, linewidth=1.3, label=label)
-        low.plot(time, factor * (values - trace.measured)[index], color=colour, linewidth=1.0)
+        time_curve(top, time, factor * values, colour, label, linestyle=style, linewidth=1.3)
+        time_curve(low, time, factor * values - measured, colour, label, linewidth=1.0)
     low.axhline(0, color=INK, linewidth=0.7)
-    for ax in (top, low):
-        _shade(ax, trace.time[part], trace.held_out[part])
-        ax.set_xlim(trace.time[part][0], trace.time[part][-1])
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.19))
     set_title(top, f"{trace.name}, where the error is largest")
     set_labels(top, y=f"{model.output_kind}, {unit}")
@@ -194,11 +194,11 @@ def _along(ax: Any, trace: Trace, part: slice, model: Model, both: bool) -> None
     """Draw the errors along the whole record, and which part is shown below."""
     factor, unit = shown(model.output_unit)
     count = max(2, round(ERROR_SLICE / float(np.median(np.diff(trace.time)))))
-    index = thin(len(trace.time), CURVE_POINTS)
+    time_panel(ax, trace.name)
     for values, colour in ((trace.before, BEFORE), (trace.after, AFTER))[: 2 if both else 1]:
         level = factor * np.sqrt(_mean_square(values - trace.measured, count))
-        ax.plot(trace.time[index], level[index], color=colour, linewidth=1.0)
-    ax.axvspan(trace.time[part][0], trace.time[part][-1], color=GREY, alpha=0.22, linewidth=0)
+        time_curve(ax, trace.time, level, colour, linewidth=1.0)
+    time_span(ax, float(trace.time[part][0]), float(trace.time[part][-1]), GREY, 0.22)
     ax.set_xlim(trace.time[0], trace.time[-1])
     ax.set_ylim(bottom=0)
     set_title(ax, f"{trace.name}, rms error over {ERROR_SLICE:g} s along the record; grey: the part shown below")
@@ -209,12 +209,17 @@ def _shade(ax: Any, time: Array, held_out: NDArray[np.bool_]) -> None:
     """Shade the held-out segments."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], held_out, [False]]).astype(int)))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
-        ax.axvspan(time[first], time[min(last, len(time) - 1)], color=GREEN, alpha=0.07, linewidth=0)
+        time_span(ax, float(time[first]), float(time[min(last, len(time) - 1)]), LIMIT, 0.07)
 
 
 # -- residual maps -------------------------------------------------------------------------------------------------------
+def drawn_views(views: Sequence[View]) -> list[View]:
+    """Return the views that are drawn."""
+    return [view for view in views if view.centres.size > 1 and view.before.size][:DRAWN_MAPS]
+
+
 def _maps(views: Sequence[View], model: Model, both: bool) -> Any:
-    drawn = [view for view in views if view.centres.size > 1 and view.before.size][:DRAWN_MAPS]
+    drawn = drawn_views(views)
     if not drawn:
         return None
     figure = new_figure(11.0, 3.5)
@@ -319,11 +324,11 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
     best = max((c.gain for c in drawn if math.isfinite(c.gain)), default=0.0)
     right = 1.35 * max(best, each.null_level, 1e-9)
     for row, candidate in enumerate(drawn):
-        ax.barh(row, candidate.level, color=GREY, alpha=0.25, height=0.98, linewidth=0)
-        ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
+        ax.barh(row, candidate.level, color=LIMIT, alpha=0.16, height=0.98, linewidth=0)
+        ax.plot([candidate.level] * 2, [row - 0.49, row + 0.49], color=LIMIT, linewidth=1.0, linestyle=(0, (4, 3)))
         tried = math.isfinite(candidate.gain)
         gain = max(candidate.gain, 0.0) if tried else 0.0
-        colour = BLUE if candidate.name == each.added else RED if candidate.name in tied else PALE
+        colour = AFTER if candidate.name == each.added else BEFORE if candidate.name in tied else PALE
         ax.barh(row, gain, color=colour, height=0.62)
         gained = format(candidate.gain, ".0f" if gain >= 100 else ".3g") if tried else "not tried"
         note = f"  ({textwrap.shorten(candidate.note, NOTE_LETTERS, placeholder=' …')})" if candidate.note else ""
@@ -341,13 +346,95 @@ def _bars(ax: Any, each: Round, tied: set[str], wording: Wording) -> None:
 def _open_loop(diagnosis: Diagnosis) -> Any:
     if diagnosis.whole is None:
         return None
-    return whole_figure(diagnosis.whole, diagnosis.model.output_kind, improved(diagnosis))
+    whole = diagnosis.whole
+    return open_loop_figure(
+        whole.traces[worst(whole)], whole_curves(whole, improved(diagnosis)), (diagnosis.model.output_kind, whole.records[0].unit)
+    )
+
+
+def _horizons(diagnosis: Diagnosis) -> Any:
+    if diagnosis.whole is None:
+        return None
+    return horizon_figure(whole_curves(diagnosis.whole, improved(diagnosis)), diagnosis.whole.records[0].unit)
+
+
+# -- in words ------------------------------------------------------------------------------------------------------------
+def _gap_seen(diagnosis: Diagnosis) -> str:
+    output_unit = diagnosis.model.output_unit
+    rows = [("rms error" + (" before" if improved(diagnosis) else ""), diagnosis.gap.before)]
+    rows += [("after", diagnosis.gap.after)] if improved(diagnosis) else []
+    rows += [("noise floor", drawn_floor(diagnosis))]
+    found = [(name, *rms(square, output_unit)) for name, square in rows]
+    return ", ".join(f"{name} {value:.3g} {unit}" for name, value, unit in found if math.isfinite(value))
+
+
+def _overlay_seen(diagnosis: Diagnosis) -> str:
+    found = worst_part(diagnosis.traces)
+    assert found is not None
+    trace, part = found
+    ends = f"{trace.name} from {trace.time[part][0]:.4g} to {trace.time[part][-1]:.4g} s: "
+    words = []
+    for name, values in (("before", trace.before), ("after", trace.after))[: 2 if improved(diagnosis) else 1]:
+        value, unit = rms(float(np.nanmean((values - trace.measured)[part] ** 2)), diagnosis.model.output_unit)
+        words.append(f"rms error {name} {value:.3g} {unit}" if improved(diagnosis) else f"rms error {value:.3g} {unit}")
+    return ends + ", ".join(words)
+
+
+def _maps_seen(diagnosis: Diagnosis) -> str:
+    words = []
+    for view in drawn_views(diagnosis.where):
+        after = f" before and {100 * view.share_after:.0f} % after" if improved(diagnosis) else ""
+        words.append(f"{view_name(view.view, view.label)} predicts {100 * view.share:.0f} % of the residual{after}")
+    return "; ".join(words)
+
+
+def _unnamed_seen(diagnosis: Diagnosis) -> str:
+    assert diagnosis.unnamed is not None
+    _, torque = shown("N" if diagnosis.model.linear else "N.m")
+    words = []
+    for curve in diagnosis.unnamed.curves:
+        low, high = float(np.min(curve.values)), float(np.max(curve.values))
+        words.append(f"from {low:.3g} to {high:.3g} {torque} over the {view_axis(diagnosis.model, curve.variable)[1]}")
+    return f"unnamed {diagnosis.model.wording.torque} " + "; ".join(words)
+
+
+def _candidates_seen(diagnosis: Diagnosis) -> str:
+    words = []
+    for place, each in enumerate(diagnosis.rounds, start=1):
+        tried = [c for c in each.candidates if math.isfinite(c.gain)]
+        if tried:
+            best = max(tried, key=lambda c: c.gain)
+            name = effect_name(best.name, diagnosis.model.wording)
+            words.append(f"round {place}: {name} gains most, {best.gain:.3g} nats; chance gives up to {best.level:.3g}")
+    return "; ".join(words)
+
+
+def _open_loop_seen(diagnosis: Diagnosis) -> str:
+    assert diagnosis.whole is not None
+    found = diagnosis.whole.records[worst(diagnosis.whole)]
+    rows = [("before", found.rms_before, found.fit_before)] if improved(diagnosis) else []
+    rows.append(("after" if improved(diagnosis) else "", found.rms_after, found.fit_after))
+    factor, unit = shown(found.unit)
+    known = [row for row in rows if math.isfinite(row[1])]
+    words = [f"rms error {factor * each:.3g} {unit}, FIT {fit:.4g} % {name}".strip() for name, each, fit in known]
+    return f"{found.record} in open loop: " + (", ".join(words) or "the simulation fails")
+
+
+def _horizons_seen(diagnosis: Diagnosis) -> str:
+    assert diagnosis.whole is not None
+    return horizons_seen(whole_curves(diagnosis.whole, improved(diagnosis)), diagnosis.whole.records[0].unit)
+
+
+_SEEN: dict[str, Callable[[Diagnosis], str]] = {
+    "gap": _gap_seen, "overlay": _overlay_seen, "maps": _maps_seen, "unnamed": _unnamed_seen, "candidates": _candidates_seen,
+    "open_loop": _open_loop_seen, "horizons": _horizons_seen,
+}  # fmt: skip
 
 
 def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
     """Return title and caption of each figure."""
     both, torque = improved(diagnosis), diagnosis.model.wording.torque
-    floor = " Grey band: the noise floor, what disturbance and sensor noise alone account for."
+    floor = " Green band: the noise floor, what disturbance and sensor noise alone account for."
     band = floor if drawn_floor(diagnosis) is not None else ""
     before = " Before: the model refitted without the effect." if both else " The model is refitted, without any effect."
     colours = ", before (orange) and after (blue)" if both else ""
@@ -381,13 +468,17 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
             "Gain of each candidate effect",
             f"Rise of the log-likelihood when the effect is added and all parameters are refitted, in nats ({NATS}). Shaded up "
             "to the dashed line: gains that chance gives in all but two of a thousand diagnoses without a missing effect. "
-            "Blue: added; red: tied; pale: neither.",
+            "Blue: added; orange: tied; pale: neither.",
         ),
         "open_loop": (
             "Whole records in open loop",
             f"The record that the model follows worst, simulated from its start to its end with nothing but the input{refitted}. "
-            "Only the position and the velocity at the start are fitted. Right: the rms error over all records, simulated anew, "
-            "with a fitted start, after so many seconds; the last point is that of whole records. FIT: 100 % less the rms error in "
-            "per cent of the rms deviation of the output from its mean.",
+            "Only the position and the velocity at the start are fitted. FIT: 100 % less the rms error in per cent of the rms "
+            "deviation of the output from its mean.",
+        ),
+        "horizons": (
+            "Error against horizon",
+            "The rms error over all records, simulated anew, with a fitted start, after so many seconds; the last point is that of "
+            "whole records.",
         ),
     }

@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
-from bristle.common.html import badge, figure, number, page, table, unit
+from bristle.common.html import badge, beside, figure, number, page, table, unit
 from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P
 from bristle.diagnosis.localisation.unexplained import CERTAIN_P
 from bristle.diagnosis.report.figures import as_given, captions, improved
@@ -246,7 +247,7 @@ def _best(candidate: Candidate | None, wording: Wording) -> str:
 
 
 def _files(files: Mapping[str, str]) -> str:
-    return table(("file", ""), [(f"<code>{escape(name)}</code>", escape(text)) for name, text in files.items()])
+    return table(("file", ""), [(f'<a href="{quote(name)}">{escape(name)}</a>', escape(text)) for name, text in files.items()])
 
 
 def _records(diagnosis: Diagnosis) -> str:
@@ -270,16 +271,18 @@ def render(
     lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in diagnosis.statement)
     alarms = _proposals(diagnosis) + "".join(f'<p class="alarm">{escape(note)}</p>' for note in notes)
     following = _section("What to measure next", f"<p>{escape(diagnosis.experiment)}</p>" if diagnosis.experiment else "")
+    others = [name for name in files if name != "report.html"]
+    data = beside(others) if others else ""
     settled = diagnosis.verdict in ("named", "none")  # else what to measure next is the answer
     parts = [
         f'<header><p class="name">diagnosis of {escape(_records(diagnosis))}</p>'
         f"<h1>{escape(headline(diagnosis))} {badge(*mark(diagnosis))}</h1>{lead}"
-        f'<p class="sub">the diagnosis took {diagnosis.seconds:.0f} s</p></header>{alarms}',
+        f'<p class="sub">the diagnosis took {diagnosis.seconds:.0f} s</p>{data}</header>{alarms}',
         _section("What is missing", writer.effects(diagnosis.effects)),
         _section("What fits equally well", _tie(diagnosis, writer, choose)),
         "" if settled else following,
         _section(words["gap"][0], _gap_facts(diagnosis) + drawn.get("gap", "")),
-        _section(words["open_loop"][0], _whole(diagnosis) + drawn.get("open_loop", "")),
+        _section(words["open_loop"][0], _whole(diagnosis) + drawn.get("open_loop", "") + drawn.get("horizons", "")),
         _section(words["overlay"][0], drawn.get("overlay", "")),
         _section(words["maps"][0], drawn.get("maps", "") + _views(diagnosis)),
         _section(words["candidates"][0], drawn.get("candidates", "")),

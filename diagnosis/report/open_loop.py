@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.drawing import BLUE, GREEN, INK, ORANGE, new_figure, set_labels, set_title, thin
+from bristle.common.drawing import ESTIMATE, INK, MEASURED, OTHER, REFERENCE, new_figure, set_labels, set_title
 from bristle.common.html import number, table, unit
+from bristle.common.time_plot import time_curve, time_panel
 from bristle.diagnosis.report.axes import shown
 from bristle.diagnosis.report.result import Trace, WholeRecords
 
 Array = NDArray[np.float64]
-OPEN_LOOP_POINTS = 2000  # points of a curve along a record
 
 
 @dataclass(frozen=True)
@@ -33,23 +33,18 @@ class Curve:
 
 def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, str]) -> Any:
     """Return the figure of one record; `output` is kind and SI unit of what was measured."""
-    from matplotlib.ticker import LogLocator, NullLocator
-
     kind, si = output
     factor, name = shown(si)
-    index = thin(len(trace.time), OPEN_LOOP_POINTS)
-    time = trace.time[index]
-    figure = new_figure(11.0, 5.6)
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.9, 1.0], hspace=0.5, wspace=0.24)
-    top, low, side = (figure.add_subplot(grid[place]) for place in ((0, 0), (1, 0), (slice(None), 1)))
-    top.plot(time, factor * trace.measured[index], color=INK, linewidth=3.0, alpha=0.28, label="measured")
+    figure = new_figure(11.0, 4.8)
+    top, low = figure.subplots(2, 1, height_ratios=[1.3, 1.0])
+    figure.subplots_adjust(hspace=0.4)
+    for ax in (top, low):
+        time_panel(ax, trace.name)
+    time_curve(top, trace.time, factor * trace.measured, MEASURED, "measured", linewidth=2.6)
     for curve in curves:
         if curve.simulated is not None:
-            top.plot(time, factor * curve.simulated[index], color=curve.colour, linestyle=curve.style, label=curve.label)
-            low.plot(time, factor * (curve.simulated - trace.measured)[index], color=curve.colour, linewidth=1.0)
-        points = [(x, factor * y) for x, y in curve.horizons if math.isfinite(y) and y > 0]
-        if points:
-            side.plot(*zip(*points, strict=True), color=curve.colour, linestyle=curve.style, marker="o", label=curve.label)
+            time_curve(top, trace.time, factor * curve.simulated, curve.colour, curve.label, linestyle=curve.style)
+            time_curve(low, trace.time, factor * (curve.simulated - trace.measured), curve.colour, curve.label, linewidth=1.0)
     low.axhline(0, color=INK, linewidth=0.7)
     for ax in (top, low):
         ax.set_xlim(trace.time[0], trace.time[-1])
@@ -57,16 +52,43 @@ def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, s
     set_title(top, trace.name)
     set_labels(top, y=f"{kind}, {name}")
     set_labels(low, x="time, s", y=f"error, {name}")
-    for axis, scale in ((side.xaxis, side.set_xscale), (side.yaxis, side.set_yscale)):
+    return figure
+
+
+def horizon_figure(curves: Sequence[Curve], si: str) -> Any:
+    """Return the figure of the error against the horizon, in the SI unit `si` of the output; None if there is no error."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    factor, name = shown(si)
+    found = [(curve, [(x, factor * y) for x, y in curve.horizons if math.isfinite(y) and y > 0]) for curve in curves]
+    if not any(points for _, points in found):
+        return None
+    figure = new_figure(11.0, 3.2)
+    ax = figure.subplots()
+    for curve, points in found:
+        if points:
+            ax.plot(*zip(*points, strict=True), color=curve.colour, linestyle=curve.style, marker="o", label=curve.label)
+    for axis, scale in ((ax.xaxis, ax.set_xscale), (ax.yaxis, ax.set_yscale)):
         scale("log")
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_locator(NullLocator())
-    if side.lines:
-        side.legend(loc="upper left", fontsize=8)
-    set_title(side, "error against horizon")
-    set_labels(side, x="simulated anew after, s", y=f"rms error, {name}")
+    ax.legend(loc="upper left", fontsize=8)
+    set_title(ax, "error against horizon")
+    set_labels(ax, x="simulated anew after, s", y=f"rms error, {name}")
     return figure
+
+
+def horizons_seen(curves: Sequence[Curve], si: str) -> str:
+    """Return what the figure of the error against the horizon shows: its ends."""
+    factor, name = shown(si)
+    words = []
+    for curve in curves:
+        points = [(x, factor * y) for x, y in curve.horizons if math.isfinite(y)]
+        if points:
+            ends = " and ".join(f"{y:.3g} {name} after {x:.3g} s" for x, y in (points[0], points[-1]))
+            words.append(f"{curve.label}: rms error {ends}")
+    return "; ".join(words)
 
 
 def worst(whole: WholeRecords) -> int:
@@ -75,20 +97,18 @@ def worst(whole: WholeRecords) -> int:
     return int(np.argmin(fits))
 
 
-def whole_figure(whole: WholeRecords, kind: str, both: bool) -> Any:
-    """Return the figure of a diagnosis: the record that fits worst; `both` if before and after differ."""
+def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
+    """Return the models of the figures of a diagnosis, along the record that fits worst; `both` if before and after differ."""
     trace = whole.traces[worst(whole)]
     seconds = [h.seconds for h in whole.horizons]
     after = list(zip(seconds, (h.after for h in whole.horizons), strict=True))
-    curves = (
-        [Curve("before", ORANGE, trace.before, list(zip(seconds, (h.before for h in whole.horizons), strict=True)))] if both else []
-    )
+    before = list(zip(seconds, (h.before for h in whole.horizons), strict=True))
+    curves = [Curve("before", OTHER, trace.before, before)] if both else []
     if whole.refitted:
-        curves.append(
-            Curve("as fitted to segments", GREEN, None, list(zip(seconds, (h.segments for h in whole.horizons), strict=True)))
-        )
-    curves.append(Curve("after" if both else "refitted model", BLUE, trace.after, after, (0, (3, 2)) if both else "-"))
-    return open_loop_figure(trace, curves, (kind, whole.records[0].unit))
+        segments = list(zip(seconds, (h.segments for h in whole.horizons), strict=True))
+        curves.append(Curve("as fitted to segments", REFERENCE, None, segments))
+    curves.append(Curve("after" if both else "refitted model", ESTIMATE, trace.after, after, (0, (3, 2)) if both else "-"))
+    return curves
 
 
 def whole_table(whole: WholeRecords, both: bool) -> str:

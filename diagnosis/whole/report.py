@@ -8,11 +8,11 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from bristle.common.drawing import BLUE, STYLE, svg
-from bristle.common.html import figure, number, page, table, unit
+from bristle.common.drawing import ESTIMATE, STYLE, svg
+from bristle.common.html import beside, figure, number, page, table, unit
 from bristle.common.output import check_no_folder, check_not_replaced, check_writable, replace_files, to_json
 from bristle.common.provenance import provenance
-from bristle.diagnosis.report.open_loop import Curve, open_loop_figure
+from bristle.diagnosis.report.open_loop import Curve, horizon_figure, horizons_seen, open_loop_figure
 from bristle.diagnosis.whole.validation import ValidatedRecord, Validation
 
 VALIDATION_FILES = ("validation.json", "report.html")
@@ -68,7 +68,8 @@ def render(validation: Validation, made: Mapping[str, Any]) -> str:
     lead = "".join(f'<p class="lead">{escape(line)}</p>' for line in sentences(validation)[:3])
     findings = "".join(f"<li>{escape(line)}</li>" for line in validation.findings)
     parts = [
-        f'<header><p class="name">validation</p><h1>{escape(validation.name)} in open loop</h1>{lead}</header>',
+        f'<header><p class="name">validation</p><h1>{escape(validation.name)} in open loop</h1>{lead}{beside(VALIDATION_FILES[:1])}'
+        "</header>",
         f"<h2>Whole records</h2>{table(head, rows, (1, 2, 4, 5))}",
         '<p class="sub">Each record is simulated from its start to its end with nothing but the input; only position and velocity '
         "at the start are fitted. FIT: 100 % less the rms error in per cent of the rms deviation of the output from its mean. "
@@ -87,14 +88,22 @@ def _period(record: ValidatedRecord) -> float:
 def _drawn(kind: str, record: ValidatedRecord, place: int) -> str:
     from matplotlib import rc_context
 
-    curve = Curve("simulated", BLUE, record.simulated, record.horizons)
+    curve = Curve("simulated", ESTIMATE, record.simulated, record.horizons)
     with rc_context(STYLE):
         drawn = svg(open_loop_figure(record.trace, [curve], (kind, record.unit)), f"record{place}")
-    caption = (
-        "Measured and simulated, and the error, along the record. Right: the rms error where the simulation begins anew, with a "
-        "fitted start, after so many seconds; the last point is that of the whole record."
-    )
-    return f"<h2>{escape(record.name)}</h2>{figure(record.name, drawn, caption)}"
+        horizons = horizon_figure([curve], record.unit)
+        against = None if horizons is None else svg(horizons, f"horizons{place}")
+    error = f"rms error {record.rms:.3g} {record.unit}" if math.isfinite(record.rms) else "the simulation fails"
+    drawn.seen = f"{record.name}: {error}"
+    text = figure(record.name, drawn, "Measured and simulated, and the error, along the record.")
+    if against is not None:
+        against.seen = horizons_seen([curve], record.unit)
+        caption = (
+            "The rms error where the simulation begins anew, with a fitted start, after so many seconds; the last point is that of "
+            "the whole record."
+        )
+        text += figure("Error against horizon", against, caption)
+    return f"<h2>{escape(record.name)}</h2>{text}"
 
 
 def _made(made: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -121,7 +121,7 @@ def test_the_files_hold_the_result(records, tmp_path):
     assert content["records"][1]["horizons"][-1] == [2.5, content["records"][1]["rms"]]
     assert {"version", "date", "platform", "records_sha256", "command"} <= set(content["provenance"])
     page = written[1].read_text(encoding="utf-8")
-    assert page.count("<img") == 2
+    assert page.count("<img") == 4  # the record and the error against the horizon, of two records
     assert "run 2" in page
 
 

@@ -23,17 +23,19 @@ pytestmark = pytest.mark.usefixtures("no_leftovers")
 
 
 class Page(HTMLParser):
-    """Collects what a page would load and what it says."""
+    """Collects what a page would load, where it links to, and what it says."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.loads: list[str] = []
+        self.links: list[str] = []
         self.words: list[str] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert tag not in ("script", "link", "iframe")
-        self.loads += [value or "" for name, value in attrs if name in ("src", "href")]
+        assert tag not in ("link", "iframe")
+        self.loads += [value or "" for name, value in attrs if name == "src"]
+        self.links += [value or "" for name, value in attrs if name == "href"]
 
     def handle_data(self, data: str) -> None:
         self.words.append(data)
@@ -172,6 +174,9 @@ def test_report_is_one_self_contained_file(finished: Run) -> None:
     page = Page(text)
     assert page.loads
     assert all(source.startswith("data:") for source in page.loads)
+    names = {path.name for path in finished.folder.iterdir()} - {"report.html"}
+    assert names == {link for link in page.links if not link.startswith("#")}
+    assert all(f' id="{link[1:]}"' in text for link in page.links if link.startswith("#"))
     assert "<angle brackets>" not in text
     words = " ".join(page.words)
     for word in (
@@ -188,8 +193,10 @@ def test_report_is_one_self_contained_file(finished: Run) -> None:
         assert word in words
     for sha in (fmu["sha256"] for fmu in finished.result["fmus"].values()):
         assert sha in words
-    assert len(text) < 2_000_000
-    for name in ("estimates", "signals", "friction", "validation"):
+    checks = finished.result["checks"]
+    tally = f"{sum(check['pass'] for check in checks)} of {len(checks)} checks"
+    assert page.words.index(tally) < page.words.index("A title with <angle brackets> & more ")
+    for name in ("estimates", "signals", "friction", "validation", "models"):
         assert (finished.folder / f"{name}.svg").read_text().startswith("<svg")
 
 
