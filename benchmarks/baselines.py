@@ -8,11 +8,13 @@ and further roundings of the start values are the runs without a change.
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,15 +26,16 @@ from bristle.harness.baseline import Baseline, Signals, make_baseline, quantitie
 from bristle.harness.catalogue import scenario_files
 from bristle.harness.comparison import Comparison, compare_sides
 from bristle.harness.plan import WHOLE_PARAMETERS, Setup
-from bristle.harness.repeats import Repeat, Repeated, repeats, run_again, run_built, run_rounded
+from bristle.harness.repeats import Repeat, Repeated, fused_flags, repeats, run_again, run_built, run_rounded
 from bristle.harness.run import check
 from bristle.harness.tube import SAFETY
 from bristle.model.compiler import Toolchain, find_compiler, known_compilers
 
-UNSEEN_SEEDS = range(101, 107)  # of roundings that no baseline has seen
+JOBS = 2  # processes
+UNSEEN_SEEDS = range(101, 105)  # of roundings that no baseline has seen
 CHANGE = 1.01  # factor of a parameter that must be seen
 IDLE = ("sample_time", "theta_start", "v_start", "u_max")  # parameters that a run may not depend on
-FACTORS = (1.0, 2.0, SAFETY)  # multiples of the measured spread
+FACTORS = (1.0, SAFETY, 10.0)  # multiples of the measured spread
 
 
 @dataclass
@@ -46,6 +49,14 @@ class Tally:
     beyond: Counter[float] = field(default_factory=Counter)
     worst: float = 0.0
     where: str = ""
+
+    def merge(self, other: Tally) -> None:
+        """Add the judgements of another scenario."""
+        for name in ("signals", "alarms", "numbers", "number_alarms"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.beyond.update(other.beyond)
+        if other.worst > self.worst:
+            self.worst, self.where = other.worst, other.where
 
     def add(self, scenario: str, found: Comparison, moving: set[str]) -> None:
         """Count a comparison."""
@@ -80,7 +91,7 @@ def unseen(setup: Setup) -> Iterator[tuple[str, Repeated]]:
     for name, command in known_compilers().items():
         if command[0] != find_compiler()[0] or "ziglang" in command:
             yield name, run_built(setup, Toolchain(name, command))
-            yield f"{name}, fused", run_built(setup, Toolchain(f"{name}, fused", command, ("-ffp-contract=fast", "-mfma")))
+            yield f"{name}, fused", run_built(setup, Toolchain(f"{name}, fused", command, fused_flags()))
 
 
 def changed(setup: Setup) -> Iterator[tuple[str, Setup]]:
@@ -101,48 +112,61 @@ def percent(count: int, of: int) -> str:
     return f"{100 * count / of:.3g} %" if of else "none"
 
 
-def main() -> None:
-    begin, tallies, seen, missed, lines = time.perf_counter(), dict[str, Tally](), 0, list[str](), list[str]()
+@dataclass
+class Tried:
+    """What came of one scenario: its tallies by kind of run, changes that were made and those not seen, and its row."""
+
+    tallies: dict[str, Tally] = field(default_factory=dict)
+    changes: int = 0
+    missed: list[str] = field(default_factory=list)
+    row: str = ""
+
+
+def try_scenario(name: str, path: Path) -> Tried:
+    """Make the baseline of a scenario, and run it without and with changes."""
+    begin, tried = time.perf_counter(), Tried()
     with tempfile.TemporaryDirectory() as folder:
-        for name, path in scenario_files().items():
-            setup_begin = time.perf_counter()
-            checked = check(path, Path(folder))
-            try:
-                baseline = make_baseline(checked, ways=own_ways(checked.setup))
-            except BristleError as error:
-                lines.append(f"| {name} | no baseline: {str(error).removeprefix(f'{path}: ')} | | | |")
-                continue
-            moving = {key for key, values in baseline.signals.values.items() if np.ptp(values)}
-            alarms = 0
-            for kind, again in unseen(checked.setup):
-                tally = tallies.setdefault(kind, Tally())
-                before = tally.alarms
-                tally.add(name, compare_sides(baseline, side(again)), moving)
-                alarms += tally.alarms - before
-            changes = list(changed(checked.setup))
-            found = 0
-            for parameter, setup in changes:
-                if compare_sides(baseline, side(run_again(setup))).passed:
-                    missed.append(f"{name}: {parameter}")
-                else:
-                    found += 1
-            seen += len(changes)
-            lines.append(
-                f"| {name} | {len(moving)} | {alarms} | {found} of {len(changes)} | {time.perf_counter() - setup_begin:.0f} |"
-            )
-            print(lines[-1], file=sys.stderr, flush=True)
-    report(tallies, seen, missed, lines, time.perf_counter() - begin)
+        checked = check(path, Path(folder))
+        try:
+            baseline = make_baseline(checked, ways=own_ways(checked.setup))
+        except BristleError as error:
+            tried.row = f"| {name} | no baseline: {str(error).removeprefix(f'{path}: ')} | | | |"
+            return tried
+        moving = {key for key, values in baseline.signals.values.items() if np.ptp(values)}
+        for kind, again in unseen(checked.setup):
+            tried.tallies.setdefault(kind, Tally()).add(name, compare_sides(baseline, side(again)), moving)
+        for parameter, setup in changed(checked.setup):
+            tried.changes += 1
+            if compare_sides(baseline, side(run_again(setup))).passed:
+                tried.missed.append(f"{name}: {parameter}")
+    alarms, seen = sum(t.alarms for t in tried.tallies.values()), tried.changes - len(tried.missed)
+    seconds = time.perf_counter() - begin
+    tried.row = f"| {name} | {len(moving)} | {alarms} | {seen} of {tried.changes} | {seconds:.0f} |"
+    print(tried.row, file=sys.stderr, flush=True)
+    return tried
 
 
-def report(tallies: dict[str, Tally], changes: int, missed: list[str], lines: list[str], seconds: float) -> None:
+def main() -> None:
+    begin, scenarios = time.perf_counter(), scenario_files()
+    with ProcessPoolExecutor(JOBS, multiprocessing.get_context("spawn")) as pool:
+        done = list(pool.map(try_scenario, scenarios, scenarios.values()))
+    tallies: dict[str, Tally] = {}
+    for tried in done:
+        for kind, tally in tried.tallies.items():
+            tallies.setdefault(kind, Tally()).merge(tally)
+    report(tallies, done, time.perf_counter() - begin)
+
+
+def report(tallies: dict[str, Tally], done: list[Tried], seconds: float) -> None:
     """Print the page."""
+    changes, missed = sum(tried.changes for tried in done), [each for tried in done for each in tried.missed]
     signals, alarms = sum(t.signals for t in tallies.values()), sum(t.alarms for t in tallies.values())
     numbers, number_alarms = sum(t.numbers for t in tallies.values()), sum(t.number_alarms for t in tallies.values())
     compilers, own = ", ".join(known_compilers()), find_compiler()[0].rpartition("/")[2]
     bound, inside = 100 * upper_bound(alarms, signals), changes - len(missed)
     print(f"""# How often a baseline is wrong
 
-Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md` in {seconds / 60:.0f} minutes on one core. Compilers of
+Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md` in {seconds / 60:.0f} minutes with {JOBS} processes. Compilers of
 this machine: {compilers}. Each scenario of the library gets a baseline by the compiler `{own}` alone. Then it runs again
 without a change, in ways that the baseline has not seen, and with each number of its plant 1 % larger. All signals that move are
 judged, at the rows of the baseline.
@@ -174,7 +198,7 @@ Goal: seen in at least 99 % of cases. Measured: {inside} of {changes}, {percent(
 
 | scenario | signals that move | alarms without a change | changes seen | s |
 |---|---|---|---|---|""")
-    print("\n".join(lines))
+    print("\n".join(tried.row for tried in done))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
-from bristle.common.output import plain, replace_files, to_json
+from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.metrics import look_up
 from bristle.harness.repeats import Repeat, Repeated, repeats
@@ -206,7 +206,9 @@ def write_baseline(out: Path, name: str, found: Baseline, scenario: str) -> Path
         "baseline.json": to_json(tree).encode(), "result.json": to_json(plain(found.result)).encode(),
         "scenario.toml": scenario.encode(), "signals.npz": _packed(stored),
     }  # fmt: skip
-    replace_files(out, {f"{name}/{file}": files[file] for file in BASELINE_FILES}, [f"{name}/{file}" for file in BASELINE_FILES])
+    placed = {f"{name}/{file}": files[file] for file in BASELINE_FILES}
+    with output_folder(out):
+        replace_files(out, placed, list(placed))
     return target
 
 
@@ -243,7 +245,7 @@ def read_baseline(folder: Path) -> Baseline:
     """
     tree, result = (read_json(folder / name) for name in ("baseline.json", "result.json"))
     try:
-        with np.load(folder / "signals.npz", allow_pickle=False) as content:
+        with np.load(io.BytesIO((folder / "signals.npz").read_bytes()), allow_pickle=False) as content:
             names = [str(name) for name in content["names"]]
             rows, values = content["rows"].astype(np.int64), content["values"]
             below, above = content["below"].astype(float), content["above"].astype(float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ ROUNDED_RUNS = 8  # runs in which start values are moved by one unit in the last
 STEP_FACTORS = (0.5, 2.0)  # of the tolerances and steps of the plant's integrator
 STEP_PARAMETERS = ("solver.tolerance", "solver.friction_step")
 UNMOVED = ("sample_time", "solver.")  # beginnings of names that are not moved: what they change is no rounding
+REORDERED = ("-funsafe-math-optimizations",)  # flag with which a compiler may reorder sums and multiply by reciprocals
 CPU_FLAGS = Path("/proc/cpuinfo")
 
 
@@ -121,20 +122,27 @@ def toolchains() -> list[Toolchain]:
     """Return other flags for the machine's compiler, and the other compilers that it has, with and without these flags."""
     default = find_compiler()
     same = os.path.realpath(shutil.which(default[0]) or default[0])
-    found = [Toolchain("without optimisation", default, ("-O0",)), *_fused("", default)]
+    found = [Toolchain("without optimisation", default, ("-O0",)), *_rounding_otherwise("", default)]
     for name, command in known_compilers().items():
         if command != default and os.path.realpath(command[0]) != same:
-            found += [Toolchain(name, command), *_fused(f"{name}, ", command)]
+            found += [Toolchain(name, command), *_rounding_otherwise(f"{name}, ", command)]
     return found
 
 
-def _fused(name: str, command: tuple[str, ...]) -> Iterator[Toolchain]:
-    """Give the toolchain that fuses multiplications and additions, which rounds otherwise, if the processor can."""
-    machine = platform.machine().lower()
-    if machine in ("aarch64", "arm64"):
-        yield Toolchain(f"{name}fused multiplication and addition", command, ("-ffp-contract=fast",))
-    elif CPU_FLAGS.exists() and " fma " in CPU_FLAGS.read_text(encoding="utf-8"):
-        yield Toolchain(f"{name}fused multiplication and addition", command, ("-ffp-contract=fast", "-mfma"))
+def _rounding_otherwise(name: str, command: tuple[str, ...]) -> list[Toolchain]:
+    """Return toolchains that keep the equations and round otherwise: sums in another order, products fused with sums."""
+    found = [Toolchain(f"{name}sums in another order", command, REORDERED)]
+    if flags := fused_flags():
+        found.append(Toolchain(f"{name}fused multiplication and addition", command, flags))
+    return found
+
+
+def fused_flags() -> tuple[str, ...]:
+    """Return the flags that fuse multiplications and additions, none if the processor cannot or is not known to."""
+    if platform.machine().lower() in ("aarch64", "arm64"):
+        return ("-ffp-contract=fast",)
+    known = CPU_FLAGS.exists() and " fma " in CPU_FLAGS.read_text(encoding="utf-8")
+    return ("-ffp-contract=fast", "-mfma") if known else ()
 
 
 def run_built(setup: Setup, toolchain: Toolchain) -> Repeated:

@@ -41,6 +41,7 @@ class Spread:
         self.starts = np.linspace(0, rows, self.blocks, endpoint=False).astype(np.intp)
         self.shifts = tuple(shift for shift in TUBE_SHIFTS if 10 * shift < rows)
         self.worst = {name: np.zeros((len(self.shifts), self.blocks)) for name in reference}
+        self._widths: dict[str, float] = {}
 
     def add(self, signals: Mapping[str, Array]) -> None:
         """Take another run into account; where it has no number, nothing can be said of what is allowed."""
@@ -52,16 +53,25 @@ class Spread:
             if np.array_equal(got, expected, equal_nan=True):
                 continue
             known = np.isfinite(expected)
-            got = np.where(known, got, 0.0)
-            expected = np.where(known, expected, 0.0)
-            for k, shift in enumerate(self.shifts):
-                lower, upper = envelope(expected, shift)
-                distance = np.maximum(np.maximum(lower - got, got - upper), 0.0)
-                distance[~np.isfinite(got)] = np.inf
-                block = np.maximum.reduceat(distance, self.starts)
-                self.worst[name][k] = np.maximum(self.worst[name][k], block)
-                if not block.any():  # nor is it farther away from a wider envelope
-                    break
+            self._add(name, np.where(known, got, 0.0), np.where(known, expected, 0.0))
+
+    def _add(self, name: str, got: Array, expected: Array) -> None:
+        for k, shift in enumerate(self.shifts):
+            lower, upper = envelope(expected, shift)
+            distance = np.maximum(np.maximum(lower - got, got - upper), 0.0)
+            distance[~np.isfinite(got)] = np.inf
+            block = np.maximum.reduceat(distance, self.starts)
+            self.worst[name][k] = np.maximum(self.worst[name][k], block)
+            if 2 * block.max() <= self._least_width(name, expected):  # a wider envelope gives no narrower tube
+                self.worst[name][k + 1 :] = np.maximum(self.worst[name][k + 1 :], block)
+                break
+
+    def _least_width(self, name: str, expected: Array) -> float:
+        """Return how wide a tube is at least in which events may move at all."""
+        if name not in self._widths:
+            lower, upper = envelope(expected, TUBE_SHIFTS[1])
+            self._widths[name] = float(np.mean(upper - lower))
+        return self._widths[name]
 
     def tube(self, name: str) -> Tube:
         """Return the tube of a signal: of all shifts the one with which it is narrowest."""
@@ -73,7 +83,7 @@ class Spread:
             width = float(np.mean(upper - lower)) + 2 * float(np.mean(self._smoothed(name, k)))
             if best is None or width < best[0]:
                 best = width, k
-            if not self.worst[name][k].any():
+            if 2 * self.worst[name][k].max() <= self._least_width(name, expected):
                 break
         k = 0 if best is None else best[1]
         lower, upper = envelope(expected, round(SAFETY * self.shifts[k]))
