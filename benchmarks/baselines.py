@@ -166,10 +166,10 @@ def report(tallies: dict[str, Tally], done: list[Tried], seconds: float) -> None
     bound, inside = 100 * upper_bound(alarms, signals), changes - len(missed)
     print(f"""# How often a baseline is wrong
 
-Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md` in {seconds / 60:.0f} minutes with {JOBS} processes. Compilers of
-this machine: {compilers}. Each scenario of the library gets a baseline by the compiler `{own}` alone. Then it runs again
-without a change, in ways that the baseline has not seen, and with each number of its plant 1 % larger. All signals that move are
-judged, at the rows of the baseline.
+Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md` in {seconds / 60:.0f} minutes with {JOBS} processes.
+Compilers of this machine: {compilers}. Each scenario of the library gets a baseline by the compiler `{own}` alone. Then it runs
+again without a change, in ways that the baseline has not seen, and with each number of its plant 1 % larger. All signals that
+move are judged, at the rows of the baseline.
 
 ## Alarms without a change
 
