@@ -8,18 +8,20 @@ and further roundings of the start values are the runs without a change.
 
 from __future__ import annotations
 
+import argparse
+import json
 import multiprocessing
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from shared import upper_bound
+from shared import upper_bound, write_json
 
 from bristle.common.errors import BristleError
 from bristle.harness.baseline import Baseline, Signals, make_baseline, quantities_of
@@ -28,6 +30,7 @@ from bristle.harness.comparison import Comparison, compare_sides
 from bristle.harness.plan import WHOLE_PARAMETERS, Setup
 from bristle.harness.repeats import Repeat, Repeated, fused_flags, repeats, run_again, run_built, run_rounded
 from bristle.harness.run import check
+from bristle.harness.scenario import load
 from bristle.harness.tube import SAFETY
 from bristle.model.compiler import Toolchain, find_compiler, known_compilers
 
@@ -46,7 +49,7 @@ class Tally:
     alarms: int = 0
     numbers: int = 0
     number_alarms: int = 0
-    beyond: Counter[float] = field(default_factory=Counter)
+    beyond: dict[str, int] = field(default_factory=dict)
     worst: float = 0.0
     where: str = ""
 
@@ -54,7 +57,7 @@ class Tally:
         """Add the judgements of another scenario."""
         for name in ("signals", "alarms", "numbers", "number_alarms"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.beyond.update(other.beyond)
+        self.beyond = {factor: self.beyond.get(factor, 0) + other.beyond.get(factor, 0) for factor in map("{:g}".format, FACTORS)}
         if other.worst > self.worst:
             self.worst, self.where = other.worst, other.where
 
@@ -64,7 +67,8 @@ class Tally:
             share = float(each.share or 0.0)
             self.signals += 1
             self.alarms += not each.passed
-            self.beyond.update(factor for factor in FACTORS if share * SAFETY > factor)
+            for factor in (f"{each:g}" for each in FACTORS if share * SAFETY > each):
+                self.beyond[factor] = self.beyond.get(factor, 0) + 1
             if share > self.worst:
                 self.worst, self.where = share, f"{scenario}: {each.name}"
         judged = [each for each in found.quantities if each.passed is not None]
@@ -120,6 +124,7 @@ class Tried:
     changes: int = 0
     missed: list[str] = field(default_factory=list)
     row: str = ""
+    seconds: float = 0.0
 
 
 def try_scenario(name: str, path: Path) -> Tried:
@@ -140,36 +145,55 @@ def try_scenario(name: str, path: Path) -> Tried:
             if compare_sides(baseline, side(run_again(setup))).passed:
                 tried.missed.append(f"{name}: {parameter}")
     alarms, seen = sum(t.alarms for t in tried.tallies.values()), tried.changes - len(tried.missed)
-    seconds = time.perf_counter() - begin
-    tried.row = f"| {name} | {len(moving)} | {alarms} | {seen} of {tried.changes} | {seconds:.0f} |"
+    tried.seconds = time.perf_counter() - begin
+    tried.row = f"| {name} | {len(moving)} | {alarms} | {seen} of {tried.changes} | {tried.seconds:.0f} |"
     print(tried.row, file=sys.stderr, flush=True)
     return tried
 
 
+def kept(name: str, path: Path, folder: Path, finished: bool) -> Tried | None:
+    """Return what came of a scenario, from the file of an earlier call if there is one; with `finished` none but that."""
+    file = folder / f"{name}.json"
+    if not file.exists() and not finished:
+        write_json(file, asdict(try_scenario(name, path)))
+    if not file.exists():
+        return None
+    tree = json.loads(file.read_text(encoding="utf-8"))
+    tallies = {kind: Tally(**tally) for kind, tally in tree.pop("tallies").items()}
+    return Tried(tallies=tallies, **tree)
+
+
 def main() -> None:
-    begin, scenarios = time.perf_counter(), scenario_files()
-    with ProcessPoolExecutor(JOBS, multiprocessing.get_context("spawn")) as pool:
-        done = list(pool.map(try_scenario, scenarios, scenarios.values()))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--keep", type=Path, help="folder for what is done, which a later call takes up")
+    parser.add_argument("--finished", action="store_true", help="report what is done, and run nothing")
+    given = parser.parse_args()
+    scenarios = scenario_files()
+    names = sorted(scenarios, key=lambda name: load(scenarios[name]).scenario.steps)
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(JOBS, multiprocessing.get_context("spawn")) as pool:
+        todo = partial(kept, folder=given.keep or Path(folder), finished=given.finished)
+        done = [tried for tried in pool.map(todo, names, map(scenarios.get, names)) if tried is not None]
     tallies: dict[str, Tally] = {}
     for tried in done:
         for kind, tally in tried.tallies.items():
             tallies.setdefault(kind, Tally()).merge(tally)
-    report(tallies, done, time.perf_counter() - begin)
+    report(tallies, done, len(scenarios))
 
 
-def report(tallies: dict[str, Tally], done: list[Tried], seconds: float) -> None:
+def report(tallies: dict[str, Tally], done: list[Tried], scenarios: int) -> None:
     """Print the page."""
     changes, missed = sum(tried.changes for tried in done), [each for tried in done for each in tried.missed]
     signals, alarms = sum(t.signals for t in tallies.values()), sum(t.alarms for t in tallies.values())
     numbers, number_alarms = sum(t.numbers for t in tallies.values()), sum(t.number_alarms for t in tallies.values())
+    seconds = sum(tried.seconds for tried in done)
     compilers, own = ", ".join(known_compilers()), find_compiler()[0].rpartition("/")[2]
     bound, inside = 100 * upper_bound(alarms, signals), changes - len(missed)
     print(f"""# How often a baseline is wrong
 
-Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md` in {seconds / 60:.0f} minutes with {JOBS} processes.
-Compilers of this machine: {compilers}. Each scenario of the library gets a baseline by the compiler `{own}` alone. Then it runs
-again without a change, in ways that the baseline has not seen, and with each number of its plant 1 % larger. All signals that
-move are judged, at the rows of the baseline.
+Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md`, over {len(done)} of the {scenarios} scenarios of the
+library, in {seconds / 60:.0f} minutes of one process in all. Compilers of this machine: {compilers}. Each scenario gets a baseline
+by the compiler `{own}` alone. Then it runs again without a change, in ways that the baseline has not seen, and with each number of
+its plant 1 % larger. All signals that move are judged, at the rows of the baseline.
 
 ## Alarms without a change
 
@@ -188,7 +212,7 @@ Signals outside a tube of so many times the spread that the repeated runs of the
 | factor | signals outside | share |
 |---|---|---|""")
     for factor in FACTORS:
-        count = sum(t.beyond[factor] for t in tallies.values())
+        count = sum(t.beyond.get(f"{factor:g}", 0) for t in tallies.values())
         print(f"| {factor:g} | {count} of {signals} | {percent(count, signals)} |")
     print(f"""
 ## Changes of 1 % in a parameter of the plant
