@@ -1,4 +1,4 @@
-"""Measured files on the command line: several behind one option, and patterns such as ``logs/*.csv``."""
+"""Files on the command line: measured ones behind one option or as patterns such as ``logs/*.csv``, scenarios by their names."""
 
 from __future__ import annotations
 
@@ -59,6 +59,16 @@ def pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
             raise BristleError(f"{option} '{text}': is not NAME=VALUE; write for example {option} theta=deg")
         found[name] = value
     return found
+
+
+def refuse_duplicates(paths: Sequence[Path]) -> None:
+    """Raise `BristleError` if two scenarios have one name: the folder of results is called so."""
+    stems = [path.stem for path in paths]
+    for path in paths:
+        if stems.count(path.stem) > 1:
+            raise BristleError(
+                f"scenario '{path.stem}' is given {stems.count(path.stem)} times; results are named by the file: rename one"
+            )
 
 
 def _natural(path: Path) -> list[list[str | int]]:

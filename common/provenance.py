@@ -24,9 +24,10 @@ def provenance() -> dict[str, Any]:
     return {"version": _version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "platform": machine}
 
 
-def provenance_of(model: Path | None, records: Iterable[Path], command: str = "") -> dict[str, Any]:
+def provenance_of(model: Path | None, records: Iterable[Path], command: str = "", fmu: Path | None = None) -> dict[str, Any]:
     """Return the same with the SHA-256 of the files that a result was made from, and the command that repeats it.
 
+    Where an FMU is the model, `model` may be that file, or the model file that says what the records hold.
     That of a file that is gone since is null: the result is worth more than its hash.
     """
 
@@ -37,4 +38,5 @@ def provenance_of(model: Path | None, records: Iterable[Path], command: str = ""
 
     found = provenance() | {"records_sha256": {str(path): sha256(path) for path in records}}
     found |= {} if model is None else {"model_sha256": sha256(model)}
+    found |= {} if fmu is None else {"fmu_sha256": sha256(fmu)}
     return found | ({"command": command} if command else {})

@@ -52,6 +52,22 @@ CHECK_QUANTITIES = {
     "states.STATE.rms": ("of the state", "rms error of an estimated state over the whole run"),
     "states.STATE.late_rms": ("of the state", "the same over the last tenth of the run"),
     "states.STATE.late_percent": ("%", "the same over the last tenth, relative to the standard deviation of the state"),
+    "behaviour.stick_share.value": ("1", "share of time that the plant stands still for 20 ms or longer; none if it never does"),
+    "behaviour.break_away_torque.value": (
+        "of the friction torque",
+        "median over all standstills that end of the largest friction torque before the plant moves; none without such",
+    ),
+    "behaviour.limit_cycle_amplitude.value": (
+        "of the velocity",
+        "half of peak to peak of a velocity that repeats although no input moves; none without a limit cycle",
+    ),
+    "behaviour.limit_cycle_period.value": ("s", "its period"),
+    "behaviour.drive_work.value": ("J", "work of the drive; none if the plant does not say J and b"),
+    "behaviour.friction_work.value": ("J", "work of the friction torque"),
+    "behaviour.energy_residual_percent.value": (
+        "%",
+        "work of drive and load less that of friction and the kinetic energy gained, over that of the drive without its sign",
+    ),
     "record.samples": ("1", "samples of the measured file; only with [record]"),
     "validation.mse_percent": ("%", "open-loop error of the identified model on the second run, eq. (25) of dixit2008"),
     "validation.seed": ("1", "seed of the second run"),

@@ -19,8 +19,13 @@ THINNED_ROWS = 2000  # rows of signals.csv unless it is written at full rate
 def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
     """Return signals.csv: first column time, numbers only (nan where there is none); thinned unless `full`."""
     rows = len(next(iter(columns.values())))
-    kept = np.arange(rows) if full else np.unique(np.linspace(0, rows - 1, min(rows, THINNED_ROWS)).round().astype(int))
+    kept = np.arange(rows) if full else thinned(rows)
     return table_text({name: column[kept] for name, column in columns.items()}, 10)
+
+
+def thinned(rows: int, kept: int = THINNED_ROWS) -> NDArray[np.intp]:
+    """Return which rows of a run are kept where not all are, evenly spread."""
+    return np.unique(np.linspace(0, rows - 1, min(rows, kept)).round().astype(np.intp))
 
 
 def refuse_strange(target: Path) -> None:

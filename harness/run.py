@@ -21,6 +21,7 @@ from bristle.common.output import output_folder, plain, to_json
 from bristle.common.provenance import provenance
 from bristle.fmus.host import Fmu
 from bristle.harness import metrics, results
+from bristle.harness.behaviour import Motion, Quantity, behaviour
 from bristle.harness.fit import Data
 from bristle.harness.isolate import run_bus
 from bristle.harness.loop import Bus, Trace
@@ -133,11 +134,11 @@ def _check_quantities(setup: Setup) -> None:
     observer, scenario = setup.fmus["observer"], setup.scenario
     hats = [name.removesuffix("_hat") for name in observer.names("output") if name.endswith("_hat")]
     known = metrics.check_quantities([name for name in hats if observer.has(f"{name}_valid", "output")], list(BASELINES))
-    absent = [f"[{part}]" for part in ("validation", "record") if getattr(scenario, part) is None]
+    absent = [f"[{part}]" for part in ("validation", "record", "plant") if getattr(scenario, part) is None]
     absent += ["compensation"] if scenario.controller.compensation == "none" else []
     for i, demand in enumerate(scenario.checks):
         part, key = demand.quantity.partition(".")[0], f"checks[{i}].quantity"
-        needed = "compensation" if part == "tracking" else f"[{part}]"
+        needed = {"tracking": "compensation", "behaviour": "[plant]"}.get(part, f"[{part}]")
         if needed in absent:
             raise setup.loaded.error(key, demand.quantity, f"the scenario has no {needed}; add it or remove the check")
         if demand.quantity not in known:
@@ -175,7 +176,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
         trace = checked.simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout)
     with clock.stage("metrics"):
         view = View(setup, trace)
-        result = _measure(setup, trace, view) | {"provenance": _provenance(checked)}
+        result = measured(setup, trace, view) | {"provenance": _provenance(checked)}
     validated = followed = None
     if setup.scenario.controller.compensation != "none" and trace.failure is None:
         with clock.stage("the same run without compensation"):
@@ -190,9 +191,27 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
     return Outcome(result, view, validated, findings, followed)
 
 
+def measured(setup: Setup, trace: Trace, view: View) -> dict[str, Any]:
+    """Return result.json of a run without what needs a second run, verdict, provenance and timing."""
+    return _measure(setup, trace, view) | {"behaviour": {name: each.as_dict() for name, each in _behaviour(setup, view).items()}}
+
+
+def _behaviour(setup: Setup, view: View) -> Mapping[str, Quantity]:
+    """Return what the plant did; nothing of a record, which is an input of the run."""
+    if setup.samples is not None:
+        return {}
+    plant, values = setup.fmus["plant"], setup.values["plant"]
+    known = {
+        name: float(values.get(name, plant.start(name))) if plant.has(name, "parameter") else None for name in ("J", "b", "u_max")
+    }
+    limit = known["u_max"] if known["u_max"] is not None else math.inf
+    units = {key: plant.unit(port) for key, port in (("speed_unit", "v"), ("torque_unit", "F")) if plant.has(port, "output")}
+    return behaviour(Motion(setup.h, view.signals, known["J"], known["b"], limit, setup.scenario.open_loop, **units))
+
+
 def verdict(setup: Setup, trace: Trace) -> str:
     """Judge a run by the checks that need no second run; pass or fail."""
-    result = _measure(setup, trace, View(setup, trace))
+    result = measured(setup, trace, View(setup, trace))
     checks = [each for each in setup.scenario.checks if each.quantity.partition(".")[0] not in SECOND_RUNS]
     return _verdict(result | {"checks": metrics.judge(result, checks)})
 
@@ -249,6 +268,10 @@ class View:
         self.units = {name.removesuffix("_hat"): rig.unit(unit) for name, unit in units.items()}
         self.published = metrics.courses(trace, self.units)
         self.friction = self._friction(setup)
+
+    def columns(self) -> dict[str, Array]:
+        """Return all signals at full rate, and for each estimate whether the observer calls it valid."""
+        return {**self.signals, **self.observed, **{f"{name}_valid": course.valid for name, course in self.published.items()}}
 
     def _true(self, setup: Setup) -> dict[str, Array]:
         """Return the true parameters under the loads that act on the plant, and of the observer's elements."""
@@ -386,9 +409,7 @@ def _files(setup: Setup, found: Outcome, clock: _Clock, full: bool) -> dict[str,
     begin = time.perf_counter()
     result, view = found.result, found.view
     figures = draw(_pictures(found))
-    counts = {f"{name}_valid": course.valid for name, course in view.published.items()}
-    columns = {"time": view.time, **view.signals, **view.observed, **counts}
-    csv = results.to_csv(columns, full)
+    csv = results.to_csv({"time": view.time, **view.columns()}, full)
     scenario = setup.scenario
     about = {"title": scenario.title, "shows": scenario.shows, "source": scenario.source, "limits": scenario.limits}
     clock.seconds["report"] = time.perf_counter() - begin

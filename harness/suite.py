@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +46,17 @@ class Case:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """What came of a case: verdict pass, fail or error; its checks as in result.json, or the message of the error."""
+    """What came of a case: verdict pass, fail or error; its checks as in result.json, or the message of the error.
+
+    `origin` holds the SHA-256 of scenario file, FMUs and record.
+    """
 
     case: Case
     verdict: str
     checks: tuple[Mapping[str, Any], ...] = ()
     wall_s: float = 0.0
     message: str = ""
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def report(self) -> Path:
@@ -212,7 +216,12 @@ def run_case(case: Case, out: Path, options: Options | None = None) -> CaseResul
         return CaseResult(case, "error", message=str(error))
     result = done.result
     message = result["diverged"]["message"] if "diverged" in result else ""
-    return CaseResult(case, result["verdict"], tuple(result["checks"]), result["wall_s"], message)
+    origin = {
+        "scenario_sha256": result["provenance"]["scenario_sha256"],
+        "fmus_sha256": {name: fmu["sha256"] for name, fmu in result["fmus"].items()},
+        "record_sha256": result["record"]["sha256"] if "record" in result else None,
+    }
+    return CaseResult(case, result["verdict"], tuple(result["checks"]), result["wall_s"], message, origin)
 
 
 def _result(future: Future[CaseResult], case: Case) -> CaseResult:

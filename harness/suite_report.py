@@ -44,7 +44,7 @@ def to_tree(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> dict
         {
             "scenario": each.case.path.stem, "seed": each.case.seed, "values": list(each.case.values), "verdict": each.verdict,
             "wall_s": each.wall_s, "message": each.message, "checks": list(each.checks),
-            "folder": each.report.parent.as_posix() if each.verdict != "error" else None,
+            "folder": each.report.parent.as_posix() if each.verdict != "error" else None, "origin": dict(each.origin),
         }
         for each in tested
     ]  # fmt: skip

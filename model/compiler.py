@@ -66,6 +66,49 @@ HOST = Target()
 SUFFIX = HOST.suffix
 
 
+@dataclass(frozen=True)
+class Toolchain:
+    """Another compiler, or other flags, than those that this machine's libraries are made with.
+
+    Attributes
+    ----------
+    name : str
+        How it is called in results.
+    command : tuple of str
+        Command of the compiler; empty: the one that `find_compiler` finds.
+    flags : tuple of str
+        Flags behind `FLAGS`, which they take precedence over.
+    """
+
+    name: str = ""
+    command: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
+
+
+_toolchains: list[Toolchain] = []  # the last one is in use
+
+
+@contextmanager
+def compiled_with(toolchain: Toolchain) -> Iterator[None]:
+    """Compile for this machine with a toolchain inside the context; it is part of the name of all that is cached."""
+    _toolchains.append(toolchain)
+    _forget()
+    try:
+        yield
+    finally:
+        _toolchains.pop()
+        _forget()
+
+
+def _forget() -> None:
+    find_compiler.cache_clear()
+    compiler_identity.cache_clear()
+
+
+def _toolchain(triple: str) -> Toolchain:
+    return _toolchains[-1] if _toolchains and not triple else Toolchain()
+
+
 @lru_cache
 def find_compiler(triple: str = "") -> tuple[str, ...]:
     """Return the command of a C compiler: $CC, cc, gcc, clang or zig; for a `triple`, that of another platform, zig.
@@ -75,36 +118,49 @@ def find_compiler(triple: str = "") -> tuple[str, ...]:
     BristleError
         If none is found.
     """
+    if command := _toolchain(triple).command:
+        return command
     zig = importlib.util.find_spec("ziglang") is not None
     if triple and not zig:
         raise BristleError("other platforms need the compiler zig; run: pip install 'bristle[cross]'")
     if triple:
         return (sys.executable, "-m", "ziglang", "cc", "-target", triple)
     if given := os.environ.get("CC"):
-        command = shlex.split(given)
+        command = tuple(shlex.split(given))
         if shutil.which(command[0]) is None:
             raise BristleError(f"CC={given}: no such program; unset CC or name a C compiler")
-        return tuple(command)
+        return command
     for name in ("cc", "gcc", "clang"):
         if path := shutil.which(name):
             return (path,)
     if zig:
-        machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
-        system = {"win32": "windows-gnu", "darwin": "macos"}.get(sys.platform, "linux-gnu.2.17")
-        return (sys.executable, "-m", "ziglang", "cc", "-target", f"{machine}-{system}")
+        return _zig()
     raise BristleError("no C compiler found (cc, gcc, clang); install one, or run: pip install 'bristle[cross]'")
+
+
+def _zig() -> tuple[str, ...]:
+    """Return the command of zig as the compiler of this machine."""
+    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
+    system = {"win32": "windows-gnu", "darwin": "macos"}.get(sys.platform, "linux-gnu.2.17")
+    return (sys.executable, "-m", "ziglang", "cc", "-target", f"{machine}-{system}")
+
+
+def known_compilers() -> dict[str, tuple[str, ...]]:
+    """Return the commands of those of gcc, clang and zig that this machine has, by name."""
+    found = {name: (path,) for name in ("gcc", "clang") if (path := shutil.which(name))}
+    return found | ({"zig": _zig()} if importlib.util.find_spec("ziglang") is not None else {})
 
 
 @lru_cache
 def compiler_identity(triple: str = "") -> str:
-    """Return what identifies a compiler: the command, and version or size and date of the program behind it."""
-    command = find_compiler(triple)
+    """Return what identifies a compiler: the command, and version or size and date of the program behind it, and added flags."""
+    command, flags = find_compiler(triple), " ".join(_toolchain(triple).flags)
     if "ziglang" in command:
         from importlib.metadata import version
 
-        return f"{command[1:]} {version('ziglang')}"
+        return f"{command[1:]} {version('ziglang')} {flags}".rstrip()
     status = os.stat(shutil.which(command[0]) or command[0])
-    return f"{command} {status.st_size} {status.st_mtime_ns}"
+    return f"{command} {status.st_size} {status.st_mtime_ns} {flags}".rstrip()
 
 
 def _environment(folder: Path) -> dict[str, str]:
@@ -175,7 +231,8 @@ def _compile_unit(unit: str, files: Mapping[str, str], target: Target, out: Path
     with _building(out) as folder:
         for file, text in files.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
-        _compiler(target.triple, [*target.flags(), "-I.", "-c", unit, "-o", "result"], folder)
+        flags = (*target.flags(), *_toolchain(target.triple).flags)
+        _compiler(target.triple, [*flags, "-I.", "-c", unit, "-o", "result"], folder)
 
 
 def compile_shared(sources: Mapping[str, str], out: Path, target: Target = HOST) -> None:

@@ -252,7 +252,6 @@ def diagnose(
         the folder cannot be written.
     """
     from bristle import diagnosis
-    from bristle.common.provenance import provenance_of
     from bristle.diagnosis.report.export import check_places
     from bristle.plant.effects import effect
 
@@ -269,9 +268,7 @@ def diagnose(
     else:
         found = diagnosis.diagnose_fmu(as_path("fmu", fmu), known, records, progress=progress)
     if out is not None:
-        given = fmu if fmu is not None else model
-        made = provenance_of(Path(given) if isinstance(given, (str, os.PathLike)) else None, files)
-        diagnosis.write(found, Path(out), choose, made=made)
+        diagnosis.write(found, Path(out), choose, made=_made(model, fmu, files))
     return found
 
 
@@ -310,7 +307,6 @@ def validate(
         If model or data cannot be read or do not fit together, the FMU crashes or takes too long, or the folder cannot be written.
     """
     from bristle import diagnosis
-    from bristle.common.provenance import provenance_of
     from bristle.diagnosis.whole.report import check_validation_places
 
     files, records = _split(data)
@@ -325,8 +321,16 @@ def validate(
     else:
         found = diagnosis.validate_fmu(as_path("fmu", fmu), known, records, timeout)
     if out is not None:
-        diagnosis.write_validation(found, Path(out), provenance_of(given[-1] if given else None, files))
+        diagnosis.write_validation(found, Path(out), _made(model, fmu, files))
     return found
+
+
+def _made(model: object, fmu: object, files: list[Path]) -> dict[str, Any]:
+    """Return where a result comes from; of a model or FMU that is no file there is no hash."""
+    from bristle.common.provenance import provenance_of
+
+    one, other = (Path(path) if isinstance(path, (str, os.PathLike)) else None for path in (model, fmu))
+    return provenance_of(one or other, files, fmu=other)
 
 
 def _split(data: object) -> tuple[list[Path], list[Record]]:

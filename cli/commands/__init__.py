@@ -7,6 +7,8 @@ for _name in (
     "build",
     "run",
     "test_",
+    "accept",
+    "compare",
     "sweep",
     "query",
     "report",

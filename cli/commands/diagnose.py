@@ -60,7 +60,7 @@ def diagnose(
         tell("writing", 1.0)
         problem = None
         try:
-            write(found, out, choose, fmi=int(fmi.value), made=provenance_of(fmu or model, data, command_line()), fill=fill)
+            write(found, out, choose, fmi=int(fmi.value), made=provenance_of(model or fmu, data, command_line(), fmu), fill=fill)
         except BristleError as error:
             problem = error
     _summary(found, choose if problem is None else None)  # the answer is printed even if it cannot be written

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +22,7 @@ from bristle.cli.app import (
     app,
     path_of,
 )
+from bristle.cli.files import refuse_duplicates
 from bristle.cli.terminal import complain, progress
 from bristle.common.errors import BristleError
 
@@ -59,7 +59,7 @@ def run(
     replays = [path for path in scenarios if path.suffix.lower() in REPLAYED]
     if fmu is not None and not any(path.suffix.lower() == ".exp" for path in replays):
         raise BristleError("--fmu goes with .exp files, of which none is given; leave it out")
-    _refuse_duplicates(scenarios)
+    refuse_duplicates(scenarios)
     if replays:
         if len(replays) < len(scenarios) or set_ or seed is not None:
             raise BristleError("packages and experiments run as they are: without scenario files beside them, --set and --seed")
@@ -136,15 +136,6 @@ def _executed(checked: Checked, debug: bool) -> int:
         return ERROR
     _report(done)
     return PASS if done.passed else FAIL
-
-
-def _refuse_duplicates(paths: Sequence[Path]) -> None:
-    stems = [path.stem for path in paths]
-    for path in paths:
-        if stems.count(path.stem) > 1:
-            raise BristleError(
-                f"scenario '{path.stem}' is given {stems.count(path.stem)} times; results are named by the file: rename one"
-            )
 
 
 def _report(done: Run) -> None:

@@ -55,6 +55,6 @@ def validate(
         tell("simulating", 0.2)
         found = diagnosis.validate(known, records) if fmu is None else diagnosis.validate_fmu(fmu, known, records, timeout)
         tell("writing", 0.9)
-        write_validation(found, out, provenance_of(fmu or model, data, command_line()))
+        write_validation(found, out, provenance_of(model, data, command_line(), fmu))
     for line in (*sentences(found), *(f"  - {finding}" for finding in found.findings), out / "report.html"):
         print(line)

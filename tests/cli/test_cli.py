@@ -180,6 +180,8 @@ def test_every_command_is_described_in_one_line(inside: Cli) -> None:
         "build",
         "run",
         "test",
+        "accept",
+        "compare",
         "export",
         "coupling",
         "reproduce",

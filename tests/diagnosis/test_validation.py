@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import zipfile
@@ -108,6 +109,16 @@ def test_an_fmu_without_start_values_is_compared_over_whole_records(records, pla
     for r in found.records:  # it starts at 0, and is moved onto the record
         assert [s for s, _ in r.horizons] == pytest.approx([4.0] if r.name == "run 1" else [2.5])
         assert r.rms < 1e-3
+
+
+def test_model_file_and_fmu_are_known_by_their_hashes(tmp_path):
+    model_file, fmu = tmp_path / "m.toml", tmp_path / "p.fmu"
+    model_file.write_bytes(b"m")
+    fmu.write_bytes(b"p")
+    found = provenance_of(model_file, [], "bristle validate", fmu)
+    assert found["model_sha256"] == hashlib.sha256(b"m").hexdigest()
+    assert found["fmu_sha256"] == hashlib.sha256(b"p").hexdigest()
+    assert "fmu_sha256" not in provenance_of(model_file, [])
 
 
 def test_the_files_hold_the_result(records, tmp_path):

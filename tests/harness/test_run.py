@@ -91,6 +91,7 @@ def test_every_number_that_a_check_may_demand_is_documented(finished: Run) -> No
     found = {path for path in found if not path.startswith(other)}
     given_by_some = {"record.samples", "innovation", "estimates.PARAMETER.sd"}
     given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("tracking.")}  # test_tracking.py
+    given_by_some |= {path for path in metrics.CHECK_QUANTITIES if path.startswith("behaviour.")}  # test_behaviour.py
     assert found | given_by_some == set(metrics.CHECK_QUANTITIES)
     demanded = {path for path in paths(result, "") if not path.startswith(other)}
     assert demanded <= set(metrics.check_quantities(list(result["estimates"]), ["linear", "coulomb", "floor"]))

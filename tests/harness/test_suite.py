@@ -110,11 +110,14 @@ def test_one_process_and_two_give_the_same(tmp_path):
         folder = (tmp_path / "both" / t.report).parent
         result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
         assert (result["verdict"], result["provenance"]["seed"]) == (t.verdict, t.case.seed)
+        assert t.origin["scenario_sha256"] == result["provenance"]["scenario_sha256"]
+        assert t.origin["fmus_sha256"] == {name: fmu["sha256"] for name, fmu in result["fmus"].items()}
     [text] = failures(both[2])
     assert "estimates.b.error_percent" in text
     assert "must be |·| ≤ 1e-09" in text
     tree = to_tree(both, {})
     assert (tree["verdict"], [r["verdict"] for r in tree["runs"]]) == ("fail", ["pass", "pass", "fail", "fail"])
+    assert tree["runs"][0]["origin"] == both[0].origin
     root = ElementTree.fromstring(junit(both))
     assert [(s.get("tests"), s.get("failures"), s.get("errors")) for s in root] == [("2", "0", "0"), ("2", "2", "0")]
     page = render(both, {})

@@ -1,0 +1,328 @@
+"""Baselines: a rerun passes, and what is wrong with a run is found, signal by signal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bristle.common.signals import Array, table_text
+from bristle.harness.baseline import Baseline, Judged, make_baseline, measured_quantities, read_baseline, write_baseline
+from bristle.harness.comparison import Comparison, compare_folders, comparison_json, differences, judge_quantity, write_comparison
+from bristle.harness.repeats import Repeat, built, repeats, run_again, run_rounded, toolchains
+from bristle.harness.run import Checked, Options, check, run
+
+Message = Callable[[Callable[[], Any]], str]
+Maker = Callable[..., Path]
+
+# A slow reference through an encoder: the shaft stands still, breaks away, and what the controller sees comes in counts.
+STICK_SLIP = """
+duration = "6 s"
+sensor = "encoder"
+controller_sensor = "encoder"
+[plant]
+law = "coulomb"
+[controller.parameters]
+seed = 3
+[observer]
+method = "rls"
+[[stimuli]]
+variable = "reference_scale"
+points = [["0 s", 0.05]]
+[[checks]]
+quantity = "behaviour.stick_share.value"
+min = 0.001
+"""
+
+
+def uncompiled(checked: Checked) -> list[Repeat]:
+    """The repeated runs that need no compiler."""
+    names = ("start values", "internal steps")
+    return [way for way in repeats(checked.setup) if way.name.startswith(names)]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("baselines")
+    (folder / "stick.toml").write_text(STICK_SLIP, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def accepted(place: Path) -> tuple[Path, Baseline]:
+    """The baseline of the stick-slip scenario, as a folder and as it was made."""
+    checked = check(place / "stick.toml", place, Options(full=True))
+    found = make_baseline(checked, ways=uncompiled(checked))
+    return write_baseline(place / "kept", "stick", found, checked.setup.loaded.text), found
+
+
+@pytest.fixture(scope="module")
+def full(place: Path) -> Path:
+    """A result folder at full rate."""
+    return run(place / "stick.toml", place / "full", Options(full=True)).folder
+
+
+@pytest.fixture
+def altered(full: Path, tmp_path: Path) -> Callable[[Callable[[dict[str, Array]], None]], Path]:
+    """Return what writes a copy of the result folder with other signals."""
+
+    def change(edit: Callable[[dict[str, Array]], None]) -> Path:
+        folder = tmp_path / "altered"
+        shutil.copytree(full, folder)
+        head = (full / "signals.csv").read_text(encoding="utf-8").split("\n", 1)[0].split(",")
+        table = np.loadtxt(full / "signals.csv", delimiter=",", skiprows=1)
+        columns = {name: table[:, k].copy() for k, name in enumerate(head)}
+        edit(columns)
+        (folder / "signals.csv").write_text(table_text(columns, 10), encoding="utf-8")
+        return folder
+
+    return change
+
+
+def failed(found: Comparison) -> set[str]:
+    return {each.name for each in found.signals if not each.passed}
+
+
+def test_what_is_stored_is_what_was_made(accepted: tuple[Path, Baseline]) -> None:
+    folder, made = accepted
+    read = read_baseline(folder)
+    assert {path.name for path in folder.iterdir()} == {"baseline.json", "result.json", "scenario.toml", "signals.npz"}
+    assert (folder / "scenario.toml").read_text(encoding="utf-8") == STICK_SLIP
+    assert read.quantities == dict(made.quantities)
+    for name, values in made.signals.values.items():
+        np.testing.assert_array_equal(read.signals.values[name], values)
+        assert (read.signals.lower[name] <= made.signals.lower[name]).all()
+        assert (read.signals.upper[name] >= made.signals.upper[name]).all()
+    assert len(read.runs) == 10
+    assert not any(each["why"] for each in read.runs)
+
+
+def test_a_rerun_passes_at_full_rate_and_thinned(accepted: tuple[Path, Baseline], full: Path, place: Path) -> None:
+    thinned = run(place / "stick.toml", place / "thinned").folder
+    for folder, rows in ((full, len(accepted[1].signals.rows)), (thinned, 2000), (accepted[0], len(accepted[1].signals.rows))):
+        found = compare_folders(accepted[0], folder)
+        assert found.passed, differences(found)
+        assert found.rows == rows
+        assert found.notes == ()
+
+
+def test_rounding_that_the_baseline_has_not_seen_stays_inside(accepted: tuple[Path, Baseline], place: Path) -> None:
+    """The tube holds events that sticking moves: the run is not the same to the last digit, and not wider than allowed."""
+    checked = check(place / "stick.toml", place)
+    again = run_rounded(checked.setup, 77)
+    signals = accepted[1].signals
+    differing = 0
+    for name, values in signals.values.items():
+        got = again.signals[name][signals.rows]
+        differing += not np.array_equal(got, values, equal_nan=True)
+        known = np.isfinite(values)
+        assert ((got >= signals.lower[name]) & (got <= signals.upper[name]))[known].all(), name
+    assert differing > 5
+    assert accepted[1].quantities["behaviour.stick_share"].value
+
+
+def test_a_signal_that_is_off_fails_and_its_worst_point_is_named(accepted: tuple[Path, Baseline], altered: Any) -> None:
+    def edit(columns: dict[str, Array]) -> None:
+        columns["theta"][3210] += 1e-3
+
+    found = compare_folders(accepted[0], altered(edit))
+    assert failed(found) == {"theta"}
+    [worst] = [each for each in found.signals if each.name == "theta"]
+    assert worst.time == pytest.approx(3.21)
+    assert worst.share is not None
+    assert worst.share > 1
+    assert worst.low is not None
+    assert worst.reference is not None
+    assert worst.low < worst.reference
+    [line] = differences(found)
+    assert line.startswith("theta at 3.21 s: ")
+    assert ", reference " in line
+
+
+def test_a_signal_without_a_number_fails(accepted: tuple[Path, Baseline], altered: Any) -> None:
+    def edit(columns: dict[str, Array]) -> None:
+        columns["b_hat"][100] = np.nan
+
+    found = compare_folders(accepted[0], altered(edit))
+    assert failed(found) == {"b_hat"}
+    assert "b_hat at 0.1 s: it is nan" in differences(found)[0]
+
+
+def test_a_missing_signal_fails_and_a_new_one_is_said(accepted: tuple[Path, Baseline], altered: Any) -> None:
+    def edit(columns: dict[str, Array]) -> None:
+        columns["F_new"] = columns.pop("F")
+
+    found = compare_folders(accepted[0], altered(edit))
+    assert failed(found) == {"F"}
+    assert differences(found) == ["F: B has no such signal"]
+    assert found.notes == ("signals that only B has, not judged: F_new",)
+
+
+def test_an_event_that_is_late_by_more_than_was_measured_fails(accepted: tuple[Path, Baseline], altered: Any) -> None:
+    def edit(columns: dict[str, Array]) -> None:
+        columns["theta_enc"][:] = np.roll(columns["theta_enc"], 100)
+
+    assert failed(compare_folders(accepted[0], altered(edit))) == {"theta_enc"}
+
+
+def test_a_percent_in_a_parameter_is_seen(accepted: tuple[Path, Baseline], place: Path) -> None:
+    other = Options(overrides=["plant.parameters.coulomb.Fc=0.01616 N.m"])
+    found = compare_folders(accepted[0], run(place / "stick.toml", place / "percent", other).folder)
+    assert not found.passed
+    assert {"theta", "v", "u"} <= failed(found)
+    assert any(each.passed is False for each in found.quantities)
+    assert "values set by --set" in " ".join(found.notes)
+
+
+def test_another_duration_and_another_rate_are_said_in_one_line(accepted: tuple[Path, Baseline], place: Path) -> None:
+    for key, line in (
+        ("duration=5 s", "A lasts 6 s, B 5 s"),
+        ("step=2 ms", "the communication step is 0.001 s in A and 0.002 s in B"),
+    ):
+        folder = run(place / "stick.toml", place / key.partition("=")[0], Options(overrides=[key])).folder
+        found = compare_folders(accepted[0], folder)
+        assert not found.passed
+        assert found.refused == (line,)
+        assert json.loads(comparison_json(found))["verdict"] == "differs"
+
+
+def test_where_results_come_from_is_said_in_words(accepted: tuple[Path, Baseline], full: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "other"
+    shutil.copytree(full, folder)
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    result["provenance"] |= {"version": "9.9", "seed": 8, "scenario_sha256": "a" * 64}
+    result["fmus"]["plant"]["sha256"] = "b" * 64
+    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    found = compare_folders(accepted[0], folder)
+    assert found.passed
+    notes = " | ".join(found.notes)
+    for words in (
+        "version of bristle: ",
+        "in A, 9.9 in B",
+        "scenario file",
+        "aaaaaaaaaaaa...",
+        "seed: 3 in A, 8 in B",
+        "FMU of the plant",
+    ):
+        assert words in notes
+
+
+def test_a_run_as_reference_leaves_only_the_written_digits_open(full: Path, place: Path, altered: Any) -> None:
+    same = compare_folders(full, run(place / "stick.toml", place / "again").folder)
+    assert same.passed
+    assert "is no baseline" in same.notes[0]
+
+    def edit(columns: dict[str, Array]) -> None:
+        columns["v"] *= 1 + 1e-7
+
+    assert failed(compare_folders(full, altered(edit))) == {"v"}
+
+
+def test_the_report_shows_each_signal_and_the_numbers(accepted: tuple[Path, Baseline], altered: Any, tmp_path: Path) -> None:
+    def edit(columns: dict[str, Array]) -> None:
+        columns["u"][2000:2010] = np.nan
+        columns["v"][3000] = 50.0
+
+    page = write_comparison(compare_folders(accepted[0], altered(edit)), tmp_path / "report").read_text(encoding="utf-8")
+    assert "u at 2 s: it is nan" in page
+    assert "v at 3 s: 50" in page
+    assert "behaviour.<wbr>stick_<wbr>share" in page
+    assert page.index('alt="u"') < page.index('alt="theta"')  # what differs first
+    tree = json.loads((tmp_path / "report" / "compare.json").read_text(encoding="utf-8"))
+    assert {row["name"] for row in tree["signals"] if not row["pass"]} == {"u", "v"}
+
+
+def test_numbers_exist_in_all_repeated_runs_in_none_or_are_not_judged() -> None:
+    def result(value: float | None) -> dict[str, Any]:
+        return {"step_s": 1e-3, "estimates": {}, "behaviour": {"x": {"unit": "s", "value": value, "why": "no x"}}}
+
+    def judged(first: float | None, *others: float | None) -> Judged:
+        return measured_quantities(result(first), [result(each) for each in others])["behaviour.x"]
+
+    assert judged(1.0, 1.1, 0.95).tolerance == pytest.approx(0.3)
+    assert judged(None, None) == Judged("s", None, None, "no x")
+    for unclear in (judged(1.0, 1.0, None), judged(None, 1.0)):
+        assert not unclear.judged
+        assert judge_quantity("behaviour.x", unclear, Judged("s", 5.0)).passed is None
+    known = judged(1.0, 1.1)
+    assert judge_quantity("behaviour.x", known, Judged("s", 1.29)).passed
+    assert judge_quantity("behaviour.x", known, Judged("s", 1.31)).passed is False
+    assert judge_quantity("behaviour.x", known, Judged("s", None)).passed is False
+    assert judge_quantity("behaviour.x", known, None).passed is False
+    assert judge_quantity("behaviour.x", judged(None, None), Judged("s", 1.0)).passed is False
+    assert judge_quantity("behaviour.x", judged(None, None), Judged("s", None)).passed is None
+
+
+def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digits(place: Path) -> None:
+    checked = check(place / "stick.toml", place)
+    reference = run_again(checked.setup)
+    plain, *fused = [each for each in toolchains() if "," not in each.name]
+    assert plain.name == "without optimisation"
+    other = built(checked.setup, plain)
+    assert other.fmus["plant"].path != checked.setup.fmus["plant"].path
+    again = run_again(other)
+    assert all(np.array_equal(again.signals[name], values, equal_nan=True) for name, values in reference.signals.items())
+    for toolchain in [each for each in fused if each.name.startswith("fused")]:
+        rounded = run_again(built(checked.setup, toolchain))
+        assert not np.array_equal(rounded.signals["theta"], reference.signals["theta"])
+        np.testing.assert_allclose(rounded.signals["theta"], reference.signals["theta"], atol=1e-3)
+
+
+def test_a_record_is_judged_by_what_the_observer_says(scenario_file: Maker, tmp_path: Path) -> None:
+    t = np.arange(0, 2, 1e-3)
+    v = np.sin(2 * np.pi * t)
+    columns = {"t": t, "u": 0.3 * v + 0.15 * np.sign(v), "theta": -np.cos(2 * np.pi * t) / (2 * np.pi)}
+    (tmp_path / "log.csv").write_text(table_text(columns), encoding="utf-8")
+    text = """
+[record]
+file = "log.csv"
+[record.time]
+column = "t"
+unit = "s"
+[record.input]
+column = "u"
+kind = "voltage"
+unit = "V"
+[record.output]
+column = "theta"
+kind = "position"
+unit = "rad"
+[observer]
+method = "rls"
+"""
+    checked = check(scenario_file(text), tmp_path)
+    found = make_baseline(checked, ways=uncompiled(checked))
+    assert len(found.runs) == 8
+    assert all(each["differs"] for each in found.runs)
+    assert not any(path.startswith("behaviour") for path in found.quantities)
+    folder = write_baseline(tmp_path / "kept", "case", found, text)
+    compared = compare_folders(folder, run(tmp_path / "case.toml", tmp_path / "out").folder)
+    assert compared.passed, differences(compared)
+
+
+def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
+    accepted: tuple[Path, Baseline], full: Path, tmp_path: Path, message: Message
+) -> None:
+    assert "result.json: No such file" in message(lambda: compare_folders(tmp_path, full))
+    damaged = tmp_path / "damaged"
+    shutil.copytree(accepted[0], damaged)
+    (damaged / "signals.npz").write_bytes((accepted[0] / "signals.npz").read_bytes()[:500])
+    assert "is no complete baseline" in message(lambda: compare_folders(damaged, full))
+    other = tmp_path / "other"
+    shutil.copytree(full, other)
+    (other / "signals.csv").write_text("time,u\n0,1\n0,2\n", encoding="utf-8")
+    assert "its times must rise" in message(lambda: compare_folders(other, full))
+    (other / "signals.csv").write_text("time,u\n0,1\n0.0015,2\n", encoding="utf-8")
+    assert "no multiples of the step" in message(lambda: compare_folders(other, full))
+    (other / "signals.csv").write_text("time,u\n0,one\n", encoding="utf-8")
+    assert "no table of numbers" in message(lambda: compare_folders(other, full))
+    (other / "result.json").write_text("[]", encoding="utf-8")
+    assert "holds no object" in message(lambda: compare_folders(other, full))
+    (other / "result.json").write_text("{}", encoding="utf-8")
+    assert "is no result of bristle run" in message(lambda: compare_folders(other, full))
+    assert "is no baseline of bristle" in message(lambda: write_baseline(full.parent, full.name, accepted[1], ""))
