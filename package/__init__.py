@@ -8,6 +8,8 @@
     path = bristle.build("plant", "fmus", fmi=3)                  # an FMU for another tool
     paper = bristle.reproduce("out")                              # the figures and numbers of the paper
 
+    many = bristle.sweep("quick", {"sensor": ["clean", "encoder"]}, seeds=range(1, 9), out="store")  # many runs, a row each
+
     result.to_pandas("estimates"), result.to_xarray()             # with pip install 'bristle[frames]'
 
 The functions do what the commands of the same names do. The rest of the library is imported when a function first needs it.
@@ -27,13 +29,13 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from bristle.diagnosis import Diagnosis, Model, Record, Validation
-    from bristle.result import Reproduction, Result
+    from bristle.result import Reproduction, Result, SweepResult
 
     __version__: str
 
 __all__ = [
-    "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "Validation", "__version__", "build", "diagnose",
-    "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "validate",
+    "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "SweepResult", "Validation", "__version__",
+    "build", "diagnose", "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "sweep", "validate",
 ]  # fmt: skip
 
 PathLike = str | os.PathLike[str]
@@ -44,6 +46,7 @@ FMI_VERSIONS = (2, 3)
 _LATER = {  # class: where it is when it is asked for
     "Diagnosis": "bristle.diagnosis", "Model": "bristle.diagnosis", "Record": "bristle.diagnosis",
     "Validation": "bristle.diagnosis", "Reproduction": "bristle.result", "Result": "bristle.result",
+    "SweepResult": "bristle.result",
 }  # fmt: skip
 
 
@@ -112,6 +115,78 @@ def run(
     options = Options(as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS), _overrides(overrides), chosen)
     done = run_scenario(path, folder, options)
     return Result(plain(done.result), done.folder)
+
+
+def sweep(
+    scenario: PathLike,
+    vary: Mapping[str, str | Sequence[object]] | None = None,
+    out: PathLike = "store",
+    *,
+    seeds: Iterable[int] = (),
+    samples: int | None = None,
+    sampling: Literal["lhs", "sobol", "random"] = "lhs",
+    sampling_seed: int = 0,
+    overrides: Mapping[str, object] | None = None,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    resume: bool = False,
+) -> SweepResult:
+    """Run a scenario with many values and seeds; what comes of each run is a row of the store `out`.
+
+    Parameters
+    ----------
+    scenario : path
+        As of `run`.
+    vary : mapping of str to object, optional
+        By the path of a key: a list of values, or text: ``"0.001:0.002:5 kg.m2"``, or a distribution by its name in scipy.stats, such
+        as ``"uniform(0.001, 0.002) kg.m2"``.
+    out : path, optional
+        Folder of the store; created if it is missing.
+    seeds : iterable of int, optional
+        Seeds of the controller's reference signal, each with all values.
+    samples : int, optional
+        How many values are drawn from the distributions; required with them.
+    sampling : {"lhs", "sobol", "random"}, optional
+        How they are drawn: Latin hypercube, Sobol' points or independently.
+    sampling_seed : int, optional
+        Seed of that.
+    overrides : mapping of str to object, optional
+        As of `run`; for all runs.
+    jobs : int, optional
+        Threads; one a core without it.
+    cluster : str, optional
+        Address of the scheduler of a Dask cluster, in place of threads.
+    resume : bool, optional
+        Make only the runs that the store does not have.
+
+    Returns
+    -------
+    SweepResult
+        How many runs have which verdict, and the rows.
+
+    Raises
+    ------
+    BristleError
+        If the scenario cannot be run with one of the values, or the store has runs and `resume` is not given. A run that fails is no
+        error.
+    """
+    from bristle.harness.catalogue import find_scenario
+    from bristle.harness.design import SAMPLINGS, design
+    from bristle.harness.run import Options
+    from bristle.harness.store import Store
+    from bristle.harness.sweep import Means, prepare_sweep, run_sweep
+    from bristle.result import SweepResult
+
+    specs = _overrides({path: spec if isinstance(spec, str) else list(spec) for path, spec in (vary or {}).items()})
+    asked = design(
+        specs, [as_whole_number("seeds", seed) for seed in seeds], None if samples is None else as_whole_number("samples", samples),
+        as_choice("sampling", sampling, SAMPLINGS), as_whole_number("sampling_seed", sampling_seed),
+    )  # fmt: skip
+    store = Store(as_path("out", out))
+    prepared = prepare_sweep(find_scenario(as_path("scenario", scenario)), asked, Options(overrides=_overrides(overrides)))
+    means = Means(os.cpu_count() or 1 if jobs is None else as_whole_number("jobs", jobs), cluster, bool(resume), "bristle.sweep")
+    found = run_sweep(prepared, asked, store, means)
+    return SweepResult(store.path, found.verdicts, found.kept)
 
 
 def reproduce(out: PathLike = "out", *, progress: Callable[[str, float], None] | None = None) -> Reproduction:

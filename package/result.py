@@ -15,10 +15,13 @@ from bristle.common.errors import BristleError
 if TYPE_CHECKING:
     import numpy as np
     import pandas as pd
+    import pyarrow as pa
     import xarray as xr
     from numpy.typing import NDArray
 
-__all__ = ["Reproduction", "Result"]
+    from bristle.harness.store import Store
+
+__all__ = ["Reproduction", "Result", "SweepResult"]
 
 TABLES = ("signals", "estimates", "checks")  # of a result, in the form of pandas
 ESTIMATE_NUMBERS = ("final", "sd", "true", "error_percent", "settling_s", "valid")  # of an estimate, in the form of xarray
@@ -182,6 +185,61 @@ class Result(_Answer):
             f"  {'ok    ' if check['pass'] else 'FAILED'} {check['name']}: {_number(check['value'])}" for check in self.checks
         ]
         return "\n".join([*lines, f"  {self.report}"])
+
+
+@dataclass(frozen=True, repr=False)
+class SweepResult:
+    """What came of a sweep.
+
+    Attributes
+    ----------
+    folder : pathlib.Path
+        The store.
+    verdicts : mapping of str to int
+        How many of the runs that were made have the verdict ``"pass"``, ``"fail"`` or ``"error"``.
+    kept : int
+        Runs that the store had before.
+    """
+
+    folder: Path
+    verdicts: Mapping[str, int]
+    kept: int = 0
+
+    @property
+    def table(self) -> pa.Table:
+        """All runs of the store, a row each, with the columns that docs/sweeps.md lists."""
+        return self._store().table()
+
+    def query(self, sql: str) -> list[dict[str, Any]]:
+        """Return the rows of an SQL query on the table ``runs``; DuckDB, which answers it, comes with the extra ``query``.
+
+        Raises
+        ------
+        BristleError
+            If the query is wrong, or DuckDB is not installed.
+        """
+        names, rows = self._store().query(sql)
+        return [dict(zip(names, row, strict=True)) for row in rows]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return all runs as a table of pandas, which the extra ``frames`` installs.
+
+        Raises
+        ------
+        BristleError
+            If pandas is not installed.
+        """
+        _frames("pandas")
+        return cast("pd.DataFrame", self.table.to_pandas())
+
+    def _store(self) -> Store:
+        from bristle.harness.store import Store
+
+        return Store(self.folder)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {word}" for word, count in self.verdicts.items())
+        return f"<SweepResult: {counts}, in {str(self.folder)!r}>"
 
 
 @dataclass(frozen=True, repr=False)
