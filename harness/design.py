@@ -1,6 +1,6 @@
 """The runs of a sweep: values of the keys that vary, listed, in a grid or drawn from distributions, each with every seed.
 
-Source: scipy.stats for the distributions; scipy.stats.qmc for the points in the unit cube.
+Distributions are those of scipy.stats, points in the unit cube those of scipy.stats.qmc.
 """
 
 from __future__ import annotations

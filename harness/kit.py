@@ -41,10 +41,10 @@ from bristle.harness.replay import (
 from bristle.harness.run import Options, Outcome, check, outcome
 from bristle.harness.ssp import CSV_TYPE, FMU_TYPE, Component, Package, SystemStructure, package_files
 
-REFERENCE = "resources/reference/signals.csv"
+REFERENCE_SIGNALS = "resources/reference/signals.csv"
 VERDICT = "resources/reference/verdict.json"
 STIMULI = "stimuli"
-OWN_REFERENCES = (Path(REFERENCE).name, Path(VERDICT).name)
+OWN_REFERENCES = (Path(REFERENCE_SIGNALS).name, Path(VERDICT).name)
 MOST_STEPS_INSIDE, MOST_ROWS_INSIDE = 5000, 250  # of a run that an FMU holds: inputs at each step, outputs at some
 REPLAY_TOLERANCE = 1e-9  # of the range of a signal: most that a replay may differ from the reference
 
@@ -229,7 +229,7 @@ def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     # the command names folders of this machine
     made = {key: each for key, each in found.result["provenance"].items() if key != "command"}
     about |= {"provenance": made}
-    files = {REFERENCE: _signals(found.view.trace).encode(), VERDICT: to_json(about).encode()}
+    files = {REFERENCE_SIGNALS: _signals(found.view.trace).encode(), VERDICT: to_json(about).encode()}
     if _tabulated(setup):
         time = np.asarray(setup.h * np.arange(setup.steps), dtype=np.float64)
         columns = {each.variable: each.values(setup.steps, setup.h) for each in setup.stimuli}
@@ -262,7 +262,7 @@ def replay(path: Path, out: Path, timeout: float | None = None, progress: Callab
         results.refuse_strange(out / path.stem)
         bus = _replay_bus(package, Path(folder))
         trace = simulate_isolated(bus, None if progress is None else lambda done: progress(done, bus.steps), timeout=timeout)
-        compared = REFERENCE in package.names
+        compared = REFERENCE_SIGNALS in package.names
         agreement = _agreement(package, trace) if compared else ()
         failure = (
             "" if trace.failure is None else f"{trace.failure.unit} stopped at {trace.failure.time:g} s: {trace.failure.message}"
@@ -332,7 +332,7 @@ def _check_port(package: Package, fmus: Mapping[str, Fmu], port: Port, causality
 def _agreement(package: Package, trace: Trace) -> tuple[Agreement, ...]:
     """Compare the signals with the reference."""
     signals = {f"{unit}.{name}": trace[unit, name] for unit, name in trace.record}
-    return agreement(package.columns(REFERENCE), trace.time, signals, REPLAY_TOLERANCE)
+    return agreement(package.columns(REFERENCE_SIGNALS), trace.time, signals, REPLAY_TOLERANCE)
 
 
 def _signals(trace: Trace) -> str:

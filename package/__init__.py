@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "SweepResult", "Validation", "__version__",
-    "build", "diagnose", "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "sweep", "validate",
+    "build", "diagnose", "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "sweep",
+    "validate",
 ]  # fmt: skip
 
 PathLike = str | os.PathLike[str]
@@ -138,8 +139,8 @@ def sweep(
     scenario : path
         As of `run`.
     vary : mapping of str to object, optional
-        By the path of a key: a list of values, or text: ``"0.001:0.002:5 kg.m2"``, or a distribution by its name in scipy.stats, such
-        as ``"uniform(0.001, 0.002) kg.m2"``.
+        By the path of a key: a list of values, or text: ``"0.001:0.002:5 kg.m2"``, or a distribution by its name in scipy.stats,
+        such as ``"uniform(0.001, 0.002) kg.m2"``.
     out : path, optional
         Folder of the store; created if it is missing.
     seeds : iterable of int, optional
@@ -167,8 +168,8 @@ def sweep(
     Raises
     ------
     BristleError
-        If the scenario cannot be run with one of the values, or the store has runs and `resume` is not given. A run that fails is no
-        error.
+        If the scenario cannot be run with one of the values, or the store has runs and `resume` is not given. A run that fails is
+        no error.
     """
     from bristle.harness.catalogue import find_scenario
     from bristle.harness.design import SAMPLINGS, design

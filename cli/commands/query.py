@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,7 +40,7 @@ def _table(names: list[str], rows: list[tuple[Any, ...]]) -> str:
     """Return a table of text: numbers on the right."""
     cells = [names, *([_cell(value) for value in row] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    numeric = [all(isinstance(row[place], int | float | None) for row in rows) for place in range(len(names))]
+    numeric = [all(isinstance(row[place], int | float | Decimal | None) for row in rows) for place in range(len(names))]
     lines = []
     for line in cells:
         padded = zip(line, widths, numeric, strict=True)

@@ -296,7 +296,7 @@ def test_list_compiles_nothing(tmp_path: Path) -> None:
     done = subprocess.run(command(["list"]), capture_output=True, text=True, env=environment, check=False)
     assert (done.returncode, done.stderr, (tmp_path / "cache").exists()) == (0, "", False)
     heavy = ["scipy.signal", "fmpy", "matplotlib", "pythonfmu"]
-    code = "import sys; from bristle.cli.main import app; app(['list'], standalone_mode=False); "
+    code = "import sys; import bristle.cli.commands; from bristle.cli.app import app; app(['list'], standalone_mode=False); "
     code += f"print({{*{heavy}}} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"

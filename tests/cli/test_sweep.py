@@ -67,7 +67,7 @@ def test_verdicts_are_exit_codes(call, scenario, tmp_path):
 
 def test_mistakes_are_lines_and_write_nothing(call, scenario, tmp_path):
     for wrong in (
-        ("--vary", "plant.parameters.Jx=[1, 2]"), ("--vary", "x"), ("--seeds", "0"), ("--vary", "plant.parameters.J=uniform(1, 2)"),
+        ("--vary", "plant.parameters.Jx=[1]"), ("--vary", "x"), ("--seeds", "0"), ("--vary", "plant.parameters.J=uniform(1, 2)"),
         ("--samples", "0"), ("--cluster", "nowhere"), ("--jobs", "0"), ("--sampling", "hope"),
     ):  # fmt: skip
         code, text, err = call("sweep", scenario, *wrong, "--out", tmp_path / "store")

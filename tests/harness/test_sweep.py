@@ -271,9 +271,8 @@ def test_a_sweep_that_is_stopped_returns_what_it_has(path: Path) -> None:
 def test_python_has_the_same(path: Path, tmp_path: Path) -> None:
     import bristle
 
-    found = bristle.sweep(
-        path, {"sensor": ["clean", "encoder"], "plant.parameters.J": "0.001:0.002:2 kg.m2"}, tmp_path / "store", jobs=1
-    )
+    vary = {"sensor": ["clean", "encoder"], "plant.parameters.J": "0.001:0.002:2 kg.m2"}
+    found = bristle.sweep(path, vary, tmp_path / "store", jobs=1)
     assert found.verdicts == {"pass": 4, "fail": 0, "error": 0}
     assert found.table["plant.parameters.J"].to_pylist() == [0.001, 0.002, 0.001, 0.002]
     assert found.table["sensor"].to_pylist() == ["clean", "clean", "encoder", "encoder"]

@@ -11,8 +11,8 @@ import pytest
 
 PUBLIC = {
     "bristle": [
-        "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "Validation", "__version__", "build", "diagnose",
-        "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "validate",
+        "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "SweepResult", "Validation", "__version__",
+        "build", "diagnose", "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "sweep", "validate",
     ],
     "bristle.common.errors": [
         "BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
@@ -51,7 +51,7 @@ PUBLIC = {
     "bristle.plant.unnamed_torque": ["UNNAMED_KNOTS", "UNNAMED_TORQUES"],
     "bristle.plant.wording": ["ROTARY", "Wording"],
     "bristle.records": ["Column", "Layout", "Record", "Requirements", "read_record", "read_records", "records_from_arrays"],
-    "bristle.result": ["Reproduction", "Result"],
+    "bristle.result": ["Reproduction", "Result", "SweepResult"],
 }  # fmt: skip
 OFFERED_TO_USERS = ("bristle", "bristle.diagnosis", "bristle.fmus", "bristle.records")  # their docstrings have to be complete
 PARAMETERS = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", re.DOTALL | re.MULTILINE)
