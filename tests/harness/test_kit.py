@@ -12,7 +12,7 @@ from lxml import etree
 from bristle.common.errors import BristleError
 from bristle.fmus import obtain
 from bristle.harness.experiment import repeat
-from bristle.harness.kit import REFERENCE, export, replay
+from bristle.harness.kit import REFERENCE_SIGNALS, export, replay
 from bristle.harness.run import Options, run
 from bristle.harness.ssp import CSV_TYPE, Component, Package, SystemStructure, package_files
 
@@ -108,7 +108,7 @@ def test_a_replay_agrees_to_the_last_digits_and_a_changed_package_does_not(kit, 
     assert {each.name: each.holds for each in other.agreement}["plant.v"] is False
 
     def bent(name, content):
-        if name != REFERENCE:
+        if name != REFERENCE_SIGNALS:
             return content
         lines = content.decode().splitlines()
         cells = lines[700].split(",")

@@ -12,7 +12,8 @@ import pytest
 PUBLIC = {
     "bristle": [
         "BristleError", "Diagnosis", "Model", "Record", "Reproduction", "Result", "SweepResult", "Validation", "__version__",
-        "build", "diagnose", "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "sweep", "validate",
+        "build", "diagnose", "load_model", "load_record", "load_records", "records_from_arrays", "reproduce", "run", "sweep",
+        "validate",
     ],
     "bristle.common.errors": [
         "BristleError", "EquationError", "IncompleteError", "NotStaticError", "RestartError", "SimulationError", "suggest",
