@@ -20,6 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from ratios import judge
 
 from bristle.common.cache import cached, digest
 from bristle.fmus import obtain
@@ -194,6 +195,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--runs", type=int, default=9)
+    parser.add_argument("--accept", action="store_true", help="commit the ratios as those to compare with")
     given = parser.parse_args()
     n, parts = given.steps, programs()
     reference, fast = time_plain(parts, n)[1], time_native(n)[1]
@@ -227,7 +229,8 @@ def main() -> int:
     for name, value in sorted(costs.items(), key=lambda item: item[1]):
         print(f"| {name} | {value:.2f} |")
     good = all(value <= limit if sign == "<=" else value >= limit for _, value, sign, limit in checks)
-    return 0 if good else 1
+    ratios = {f"{name} / native loop, time": us[name] / us["native"] for name in ("plain", "fmpy", "python")}
+    return 0 if judge("loop", ratios, given.accept) and good else 1
 
 
 if __name__ == "__main__":

@@ -1,0 +1,195 @@
+"""What a sweep costs: threads, store and verdicts, a cluster, and other ways to make the same runs, side by side in one run.
+
+python benchmarks/sweep.py [--runs 1000] > benchmarks/results/sweep.md
+
+All ways make runs of scenario `quick` (20 s at 1 ms: controller, plant, observer). They are timed in turn, several times, and the
+median is taken, since the speed of a machine changes. Other importers get the same FMUs; they record the same signals but judge
+nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from ratios import judge
+
+from bristle.harness.catalogue import find_scenario
+from bristle.harness.design import Design, design
+from bristle.harness.kit import export
+from bristle.harness.loop import Slaves, simulate
+from bristle.harness.plan import find_fmus, identification, prepare
+from bristle.harness.run import Options
+from bristle.harness.scenario import load
+from bristle.harness.store import Store
+from bristle.harness.sweep import Means, Sweep, load_point, prepare_sweep, run_chunk, run_sweep
+
+ROUNDS = 3
+FEW = 24  # runs of the slow ways
+STEPS = 20_000  # of a run
+VARY = "plant.parameters.J=uniform(0.0008, 0.0012) kg.m2"
+
+
+def timed(work: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    work()
+    return time.perf_counter() - begun
+
+
+def simulations_alone(sweep: Sweep, asked: Design) -> None:
+    """The compiled loop of each run, without store, verdicts and numbers."""
+    with Slaves() as slaves:
+        for point in asked.points():
+            loaded = load_point(sweep, point)
+            fmus = next(iter(sweep.fmus.values()))
+            simulate(identification(prepare(loaded, fmus)), slaves=slaves)
+
+
+def swept(sweep: Sweep, asked: Design, means: Means) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        run_sweep(sweep, asked, Store(Path(folder) / "store"), means)
+
+
+def by_fmpy(seed: int) -> None:
+    """One run by FMPy's own calls: FMUs loaded, a loop in Python, all outputs read at each step."""
+    loaded = load(find_scenario(Path("quick")), [], seed)
+    simulate(identification(prepare(loaded, find_fmus(loaded))), engine="fmpy")
+
+
+def by_libcosim(package: str) -> None:
+    """One run by libcosim over a package of the same FMUs; no signal is recorded."""
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
+
+    log_output_level(CosimLogLevel.ERROR)
+    CosimExecution.from_ssp_file(ssp_path=package, step_size=1_000_000).step(STEPS)
+
+
+def by_ecos(package: str) -> None:
+    """The same by Ecos."""
+    from ecospy import EcosSimulation
+
+    simulation = EcosSimulation(ssp_path=package, step_size=1e-3)
+    simulation.init()
+    simulation.step(STEPS)
+
+
+def pooled(pool: ProcessPoolExecutor, work: Callable[[Any], None], given: Sequence[object]) -> None:
+    """Do work for all that is given, in the processes of a pool."""
+    list(pool.map(work, given))
+
+
+def other_importers(pool: ProcessPoolExecutor, package: str) -> dict[str, tuple[int, Callable[[], Any]]]:
+    """Return those importers that can be loaded on this machine."""
+    found: dict[str, tuple[int, Callable[[], Any]]] = {}
+    for module, name, work in (("libcosimpy", "libcosim", by_libcosim), ("ecospy", "Ecos", by_ecos)):
+        try:
+            import_module(module)
+        except (ImportError, OSError) as error:
+            print(f"{name} cannot be loaded: {error}", file=sys.stderr)
+            continue
+        found[f"{name}, pool of 2 processes"] = (FEW, partial(pooled, pool, work, [package] * FEW))
+    return found
+
+
+def rate_of(runs: int, seconds: list[float]) -> str:
+    return f"{runs / statistics.median(seconds):.1f} ({runs / max(seconds):.1f} to {runs / min(seconds):.1f})"
+
+
+def main() -> int:
+    """Print the tables; exit 1 if a ratio has fallen."""
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool, tempfile.TemporaryDirectory() as folder:
+        return measure(pool, Path(folder))
+
+
+def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--accept", action="store_true", help="commit the ratios as those to compare with")
+    given = parser.parse_args()
+    runs = given.runs
+    few = max(FEW, runs // 10)
+    path, options = find_scenario(Path("quick")), Options()
+    asked, some = (design([VARY], samples=count) for count in (runs, few))
+    sweep = prepare_sweep(path, asked, options)
+    ways: dict[str, tuple[int, Callable[[], Any]]] = {
+        "loop alone, one thread": (few, lambda: simulations_alone(sweep, some)),
+        "chunk without store, one thread": (few, lambda: run_chunk(sweep, list(some.points()))),
+        "`bristle sweep -j 1`": (few, lambda: swept(sweep, some, Means(1))),
+        "`bristle sweep -j 2`": (runs, lambda: swept(sweep, asked, Means(2))),
+        "FMPy's calls, pool of 2 processes": (FEW, partial(pooled, pool, by_fmpy, range(1, FEW + 1))),
+    }
+    ways |= other_importers(pool, str(export(path, kit)))
+    for name in list(ways)[4:]:
+        ways[name][1]()  # the processes have imported then
+    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    cluster_rate = None
+    for _ in range(ROUNDS):
+        for name, (_, work) in ways.items():
+            seconds[name].append(timed(work))
+    try:
+        from distributed import LocalCluster
+    except ImportError:
+        pass
+    else:
+        with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+            swept(sweep, some, Means(1, cluster.scheduler_address))  # its workers have imported then
+            both: list[tuple[float, float]] = []
+            for _ in range(ROUNDS):
+                there = timed(lambda: swept(sweep, asked, Means(1, cluster.scheduler_address)))
+                both.append((there, timed(lambda: swept(sweep, asked, Means(2)))))
+            cluster_rate = statistics.median(here / there for there, here in both)
+    return 0 if judge("sweep", report(ways, seconds, runs, cluster_rate, size_of(sweep, asked)), given.accept) else 1
+
+
+def size_of(sweep: Sweep, asked: Design) -> tuple[int, int]:
+    """Return the bytes of a store with these runs in chunks of their usual size, and its files."""
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder) / "store")
+        run_sweep(sweep, asked, store, Means(2))
+        return sum(path.stat().st_size for path in store.files()), len(store.files())
+
+
+def report(
+    ways: dict[str, tuple[int, Callable[[], Any]]],
+    seconds: dict[str, list[float]],
+    runs: int,
+    cluster_rate: float | None,
+    size: tuple[int, int],
+) -> dict[str, float]:
+    per_run = {name: statistics.median(seconds[name]) / ways[name][0] for name in ways}
+    loop, chunk, one, two, fmpy = list(per_run.values())[:5]
+    print("# What a sweep costs\n")
+    print("`python benchmarks/sweep.py > benchmarks/results/sweep.md`: runs of scenario `quick` (20 s at 1 ms) on this machine's")
+    print(f"2 cores, {ROUNDS} rounds in turn; the median, and the range, of the rounds.\n")
+    print("| way | runs a round | runs a second |\n|---|---|---|")
+    for name, (count, _) in ways.items():
+        print(f"| {name} | {count} | {rate_of(count, seconds[name])} |")
+    print("\n| figure | value | goal |\n|---|---|---|")
+    print(f"| parallel efficiency of 2 threads over {runs} runs | {one / (2 * two):.2f} | >= 0.9 |")
+    print(f"| store, verdicts and numbers over the loop alone, one thread | {100 * (one / loop - 1):.0f} % | <= 15 % |")
+    print(f"| of these the store | {100 * (one - chunk) / loop:.0f} % | |")
+    print(f"| sweep over FMPy's calls in a pool of as many processes | {fmpy / two:.0f} times | >= 10 times |")
+    if cluster_rate is not None:
+        print(f"| Dask LocalCluster of 2 workers over 2 threads, runs a second | {cluster_rate:.2f} | >= 0.85 |")
+    print(f"| bytes a run in the store, {size[1]} files | {size[0] / runs:.0f} | |")
+    print(f"| largest memory of the process | {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB | bounded |")
+    found = {"2 threads / 1 thread, runs a second": one / two, "loop alone / sweep, one thread, time": loop / one}
+    for name, spent in list(per_run.items())[4:]:
+        found[f"{name} / sweep of 2 threads, time"] = spent / two
+    return found | ({} if cluster_rate is None else {"cluster / 2 threads, runs a second": cluster_rate})
+
+
+if __name__ == "__main__":
+    sys.exit(main())
