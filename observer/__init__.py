@@ -15,7 +15,7 @@ __all__ = ["methods", "observer_program"]
 def methods(packages: bool = False) -> dict[str, Method]:
     """Return all methods by name, in alphabetical order of their files; with `packages`, those of installed packages follow.
 
-    The observer of all methods has none of a package, so that it is the same wherever it is built.
+    The observer of all methods has none of a package: installing one changes no FMU.
     """
     own = checked_declarations(catalogue_modules(__name__, __path__, "observers"), "METHOD", Method)
     return own | packaged_declarations("observers", "METHOD", Method, own) if packages else own

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -42,12 +43,13 @@ def new(
     schema = schema_of(FileKind.scenario)
     if kind is NewKind.scenario:
         [path, *_] = write_scenario(name, out, schema)
-        print(f"{path}  next: bristle run {path} --out out")
+        print(f"{path}  next: {shlex.join(['bristle', 'run', str(path), '--out', 'out'])}")
         return PASS
     if name in _taken(SCAFFOLDS[kind.value].group):
         raise BristleError(f"name '{name}': bristle list has it already; choose another")
     write_package(kind.value, name, out, schema)
-    print(f"{out / name}  next: pip install -e {out / name}, then bristle run {out / name / 'scenario.toml'} --out out")
+    install, run = ["pip", "install", "-e", str(out / name)], ["bristle", "run", str(out / name / "scenario.toml"), "--out", "out"]
+    print(f"{out / name}  next: {shlex.join(install)}, then {shlex.join(run)}")
     return PASS
 
 

@@ -71,12 +71,17 @@ def effect(name: str, wording: Wording = ROTARY) -> Effect:
     if name in UNNAMED_TORQUES:
         return UNNAMED_TORQUES[name].worded(wording)
     own = _catalogue(wording, False)
-    known = own if name in own else _catalogue(wording, True)
-    if name not in known and name in offered("effects"):  # left out for a mistake, which is the answer here
-        return packaged_declaration("effects", name, "EFFECT", Effect, own, _check).worded(wording)
-    if name not in known:
-        raise BristleError(f"unknown effect '{name}'{suggest(name, list(known))}; known: {', '.join(known)}")
-    return known[name]
+    return own[name] if name in own else _packaged(name, wording)
+
+
+@cache
+def _packaged(name: str, wording: Wording) -> Effect:
+    """Return the effect of an installed package; a mistake in another one does not matter."""
+    own, names = _catalogue(wording, False), offered("effects")
+    if name not in names:
+        known = list(dict.fromkeys([*own, *names]))
+        raise BristleError(f"unknown effect '{name}'{suggest(name, known)}; known: {', '.join(known)}")
+    return packaged_declaration("effects", name, "EFFECT", Effect, own, _check).worded(wording)
 
 
 def separation(names: Collection[str], wording: Wording = ROTARY) -> str:

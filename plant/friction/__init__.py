@@ -14,7 +14,7 @@ __all__ = ["law", "law_names", "laws"]
 def laws(packages: bool = False) -> dict[str, FrictionLaw]:
     """Return all laws by name, in alphabetical order of their files; with `packages`, those of installed packages follow.
 
-    The plant of all laws has none of a package, so that it is the same wherever it is built.
+    The plant of all laws has none of a package: installing one changes no FMU.
     """
     own = checked_declarations(catalogue_modules(__name__, __path__, "laws"), "LAW", FrictionLaw)
     return own | packaged_declarations("laws", "LAW", FrictionLaw, own) if packages else own

@@ -24,6 +24,12 @@ ASKED = {"law": law, "effect": effect, "observer": observer_program}
 KINDS = pytest.mark.parametrize("kind", list(GROUPS))
 
 
+def forget():
+    """Let effects be read anew."""
+    effect_package._catalogue.cache_clear()
+    effect_package._packaged.cache_clear()
+
+
 @pytest.fixture
 def package(monkeypatch, tmp_path):
     """Return what installs a package of one module, from the template of its kind, changed; effects are read anew."""
@@ -40,11 +46,11 @@ def package(monkeypatch, tmp_path):
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {title or 'my_' + name}\nVersion: 1.2\n", encoding="utf-8")
         (info / "entry_points.txt").write_text(f"[bristle.{GROUPS[kind]}]\n{entry or name} = {module}\n", encoding="utf-8")
-        effect_package._catalogue.cache_clear()
+        forget()
         return path
 
     yield install
-    effect_package._catalogue.cache_clear()
+    forget()
     for module in made:
         sys.modules.pop(module, None)
 
@@ -95,6 +101,7 @@ def test_a_broken_package_is_named_and_stops_nothing_else(package, message, capl
     text = message(lambda: ASKED[kind]("outside"))
     assert text.startswith("package my_outside 1.2: ")
     assert words in text
+    assert not caplog.records
     with caplog.at_level(logging.WARNING, "bristle"):
         assert list(KNOWN[kind]()) == before
     assert [record.getMessage() for record in caplog.records] == [f"left out: {text}"]
