@@ -27,7 +27,7 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
-from bristle.common.time_plot import time_curve, time_panel
+from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.harness.figure_text import MODEL_LABELS
 from bristle.harness.figures import MODEL_COLOURS, PLAIN_SYMBOLS
 from bristle.harness.paper import PRINTED
@@ -157,12 +157,12 @@ def _estimates(found: Comparison, colours: dict[str, str], step: str, unit: str)
         time_panel(ax, step, (first, last))
         for name, colour in colours.items():
             level = larger * PRINTED[name].values[0]
-            ax.axhline(level, color=colour, linestyle=DASHED, linewidth=0.9, alpha=0.7)
+            time_level(ax, level, colour, DASHED[1], linewidth=0.9)
             if name in case.hats:
                 time_curve(ax, case.time - begin, case.hats[name], colour, PLAIN_SYMBOLS[name])
         set_title(ax, LETTERS[scheme])
         if failed := case.result.get("diverged"):
-            ax.text(0.5, 0.5, f"diverged at {failed['time_s']:.3g} s", transform=ax.transAxes, ha="center", color=FAILED)
+            set_title(ax, f"diverged at {failed['time_s']:.3g} s", loc="right", fontsize=8, color=FAILED)
         set_labels(ax, x=f"time, s{', from the start of step 2' if begin else ''}")
     axes[0].set_ylim(low, high)
     set_labels(axes[0], y=unit)
