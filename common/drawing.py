@@ -16,10 +16,10 @@ from bristle.common.time_plot import plot_data
 # colours by Okabe and Ito, which colour-blind readers can distinguish
 BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
 # what a colour stands for, in all figures; each has a contrast of 3 and more against white, most of 4.5 and can colour text
-TRUTH, MEASURED, ESTIMATE, REFERENCE, LIMIT = INK, "#878c96", BLUE, "#9c4f96", "#007a5a"
+TRUTH, MEASURED, ESTIMATE, REFERENCE_COLOUR, LIMIT = INK, "#878c96", BLUE, "#9c4f96", "#007a5a"
 OTHER, BASELINE, FAILED = "#b65c00", "#8c564b", "#b3440a"  # a second model or run, the simplest model, what is not as it must be
 ROLES = {
-    "truth": TRUTH, "measured": MEASURED, "estimate": ESTIMATE, "reference": REFERENCE, "limit": LIMIT,
+    "truth": TRUTH, "measured": MEASURED, "estimate": ESTIMATE, "reference": REFERENCE_COLOUR, "limit": LIMIT,
     "second model": OTHER, "simplest model": BASELINE, "failure": FAILED, "not valid": GREY,
 }  # fmt: skip
 DEGREES = 180.0 / math.pi

@@ -18,7 +18,7 @@ from bristle.common.drawing import (
     LIMIT,
     MEASURED,
     OTHER,
-    REFERENCE,
+    REFERENCE_COLOUR,
     STYLE,
     TRUTH,
     Drawing,
@@ -124,7 +124,7 @@ def _reference(found: Comparison) -> Any:
     for ax, order in zip(axes, FILTER_ORDERS, strict=True):
         case = _case(found, BASELINE_SCHEME, order=order)
         time_panel(ax, "reference", found.window("reference_window"))
-        time_curve(ax, case.sample_time, case.reference * DEGREES, REFERENCE, linewidth=1.1)
+        time_curve(ax, case.sample_time, case.reference * DEGREES, REFERENCE_COLOUR, linewidth=1.1)
         set_title(ax, f"order {order}: {'one section' if order == 1 else 'two sections'} of 5 rad/s")
         set_labels(ax, x="time, s")
     axes[0].set_ylim(*(1.08 * value for value in PRINTED["reference_range"].values))
