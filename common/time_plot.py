@@ -109,7 +109,8 @@ def _thinned(rows: Sequence[Array], part: slice, columns: int) -> NDArray[np.int
     index = (part.start or 0) + np.unique(np.concatenate([extremes(row[part], columns) for row in rows]))
     gap = np.isnan(rows[0][index])
     inside = gap & np.append(True, gap[:-1]) & np.append(gap[1:], True)  # one sample on either side shows a gap
-    return index[~inside]
+    kept: NDArray[np.intp] = index[~inside]
+    return kept
 
 
 def _packed(values: Array, kind: str = "<f4") -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import (
+    BASELINE,
     DEGREES,
     ESTIMATE,
     FAILED,
@@ -35,10 +36,10 @@ from bristle.harness.reproduce import BASELINE_SCHEME, FILTER_ORDERS, LETTERS, S
 
 Array = NDArray[np.float64]
 
-SCHEME_COLOURS = {"printed": FAILED, "repaired": OTHER, "best": ESTIMATE}
+SCHEME_COLOURS = {"printed": BASELINE, "repaired": OTHER, "best": ESTIMATE}
 # several estimates in one pair of axes need several colours
 STEP1 = {"alpha2": ESTIMATE, "b": OTHER}
-STEP2 = {"sigma0": ESTIMATE, "sigma1": OTHER, "sigma2": LIMIT, "c": FAILED}
+STEP2 = {"sigma0": ESTIMATE, "sigma1": OTHER, "sigma2": LIMIT, "c": BASELINE}
 TAKEN_LARGER = {"step1": 1.0, "step2": 100.0}  # parameters of set S over the printed levels
 DASHED: Any = (0, (4, 3))
 SHOWN_SPEED = 100.0  # deg/s: right end of Fig. 1

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.drawing import ESTIMATE, INK, MEASURED, OTHER, REFERENCE_COLOUR, new_figure, set_labels, set_title
+from bristle.common.drawing import BASELINE, ESTIMATE, INK, MEASURED, OTHER, new_figure, set_labels, set_title
 from bristle.common.html import number, table, unit
 from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.diagnosis.report.axes import shown
@@ -106,7 +106,7 @@ def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
     curves = [Curve("before", OTHER, trace.before, before)] if both else []
     if whole.refitted:
         segments = list(zip(seconds, (h.segments for h in whole.horizons), strict=True))
-        curves.append(Curve("as fitted to segments", REFERENCE_COLOUR, None, segments))
+        curves.append(Curve("as fitted to segments", BASELINE, None, segments))
     curves.append(Curve("after" if both else "refitted model", ESTIMATE, trace.after, after, (0, (3, 2)) if both else "-"))
     return curves
 
