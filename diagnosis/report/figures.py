@@ -361,7 +361,7 @@ def _horizons(diagnosis: Diagnosis) -> Any:
 # -- in words ------------------------------------------------------------------------------------------------------------
 def _gap_seen(diagnosis: Diagnosis) -> str:
     output_unit = diagnosis.model.output_unit
-    rows = [("rms error" + (" before" if improved(diagnosis) else ""), diagnosis.gap.before)]
+    rows: list[tuple[str, float | None]] = [("rms error" + (" before" if improved(diagnosis) else ""), diagnosis.gap.before)]
     rows += [("after", diagnosis.gap.after)] if improved(diagnosis) else []
     rows += [("noise floor", drawn_floor(diagnosis))]
     found = [(name, *rms(square, output_unit)) for name, square in rows]
