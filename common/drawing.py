@@ -16,14 +16,13 @@ from bristle.common.time_plot import plot_data
 # colours by Okabe and Ito, which colour-blind readers can distinguish
 BLUE, ORANGE, GREEN, RED, GREY, PALE, INK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#8a8f98", "#b9bec7", "#1f2430"
 # what a colour stands for, in all figures; each has a contrast of 3 and more against white, most of 4.5 and can colour text
-TRUTH, MEASURED, ESTIMATE, REFERENCE, LIMIT = INK, "#878c96", BLUE, "#9c4f96", "#007a5a"
-OTHER, BASELINE, FAILED = "#b65c00", "#8c564b", "#b3440a"  # a second model or run, the simplest model, what is not as it must be
+TRUTH, MEASURED, ESTIMATE, REFERENCE_COLOUR, LIMIT = INK, "#878c96", BLUE, "#9c4f96", "#007a5a"
+OTHER, BASELINE, FAILED = "#b65c00", "#cf3a7c", "#b3440a"  # a second model or run, a third one, what is not as it must be
 ROLES = {
-    "truth": TRUTH, "measured": MEASURED, "estimate": ESTIMATE, "reference": REFERENCE, "limit": LIMIT,
-    "second model": OTHER, "simplest model": BASELINE, "failure": FAILED, "not valid": GREY,
+    "truth": TRUTH, "measured": MEASURED, "estimate": ESTIMATE, "reference": REFERENCE_COLOUR, "limit": LIMIT,
+    "second model": OTHER, "third model": BASELINE, "failure": FAILED, "not valid": GREY,
 }  # fmt: skip
 DEGREES = 180.0 / math.pi
-THINNED_POINTS = 1200  # points of a curve, at most
 PATH, COORDINATE = re.compile(r'(?<= d=")[^"]*'), re.compile(r"-?\d+\.\d{2,}")  # of SVG text
 TICKS = 5  # intervals between ticks, at most
 MARGINS = (0.74, 0.15, 0.5, 0.36)  # margins left, right, below and above the axes [inch]
@@ -38,7 +37,7 @@ STYLE: Any = {
 }  # fmt: skip
 
 
-def thin(n: int, points: int = THINNED_POINTS) -> NDArray[np.intp]:
+def thin(n: int, points: int) -> NDArray[np.intp]:
     """Return at most `points` evenly spread indices of n samples."""
     return np.unique(np.linspace(0, n - 1, min(n, points)).round().astype(np.intp))
 

@@ -7,7 +7,7 @@
   const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
   const times = ({ first, unit, steps }, sum = 0) =>
     [first, ...Array.from(new Uint16Array(bytes(steps)), step => first + unit * (sum += step))];
-  const digits = value => Number.isFinite(value) ? String(Number(value.toPrecision(5))).replace("-", "−") : "none";
+  const digits = value => Number.isFinite(value) ? String(Number(value.toPrecision(5))).replaceAll("-", "−") : "none";
   function set(element, attributes) {
     for (const key in attributes) element.setAttribute(key, attributes[key]);
     return element;
@@ -63,8 +63,7 @@
       const width = this.svg.parentNode.clientWidth, { svg, height, part } = this, [first, last] = this.clock.view;
       const inside = part && first > part[0] - 1e-6 && last < part[1] + 1e-6; // finer data are there of this part only
       this.used = this.items.map(item => inside ? { ...item, ...item.fine } : item);
-      const [low, high] = this.range();
-      const right = width - RIGHT, bottom = height - BOTTOM;
+      const [low, high] = this.range(), right = width - RIGHT, bottom = height - BOTTOM;
       this.toX = t => LEFT + (t - first) / (last - first) * (right - LEFT);
       this.toTime = x => first + (Math.min(right, Math.max(LEFT, x)) - LEFT) / (right - LEFT) * (last - first);
       const toY = v => Math.max(-1e4, Math.min(1e4, bottom - (v - low) / (high - low) * (bottom - TOP)));
@@ -74,8 +73,8 @@
       const xs = ticks(first, last, width / 90), ys = ticks(low, high, 5);
       const text = (values, value) => {
         const most = Math.max(...values.map(Math.abs)), step = values.length > 1 ? values[1] - values[0] : most || 1;
-        const short = most >= 1e5 || (most > 0 && most < 1e-3), left = Math.max(0, Math.ceil(-Math.log10(step) - 1e-9));
-        return (short ? value.toExponential(Math.max(0, Math.ceil(Math.log10(most / step)))) : value.toFixed(left)).replace("-", "−");
+        const left = Math.max(0, Math.ceil(-Math.log10(step) - 1e-9));
+        return most >= 1e5 || left > 5 ? digits(value) : value.toFixed(left).replace("-", "−");
       };
       for (const t of xs) {
         make("path", { d: `M${this.toX(t)} ${TOP}V${bottom}`, class: "grid" }, svg);
@@ -96,6 +95,8 @@
       const { x, y, high, colour } = item;
       if ("at" in item) {
         make("path", { d: `M${this.toX(item.at)} ${TOP}V${bottom}`, stroke: colour, "stroke-dasharray": "1 2" }, area);
+      } else if ("level" in item) {
+        make("path", { d: `M${LEFT} ${toY(item.level)}h9999`, stroke: colour, "stroke-dasharray": item.dashes.join(" ") }, area);
       } else if ("from" in item) {
         const d = `M${this.toX(item.from)} ${TOP}V${bottom}H${this.toX(item.to)}V${TOP}Z`;
         make("path", { d, fill: colour, opacity: item.alpha }, area);
@@ -114,14 +115,14 @@
       }
     }
     point(time) { // put the line that reads values at a time, or take it away
-      set(this.line, { visibility: time === null ? "hidden" : "visible" });
+      const at = this.toX(time ?? this.clock.view[0]);
+      set(this.line, { visibility: time === null ? "hidden" : "visible", x1: at, x2: at });
       this.read.textContent = this.note;
       if (time === null) return;
-      set(this.line, { x1: this.toX(time), x2: this.toX(time) });
       this.read.replaceChildren(`${digits(time)} s`);
       for (const { x, y, high, colour, label } of this.used) if (x && !high) {
         const k = place(x, time), near = k > 0 && (k === x.length || time - x[k - 1] < x[k] - time) ? k - 1 : k;
-        if (Number.isFinite(y[near])) make("i", { style: `color:${colour}` }, this.read, `${label} ${digits(y[near])}`.trim());
+        if (Number.isFinite(y[near])) make("i", { style: `color:${colour}` }, this.read, `${this.svg.clientWidth > 500 ? label : ""} ${digits(y[near])}`);
       }
     }
     listen() {

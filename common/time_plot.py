@@ -79,6 +79,12 @@ def time_mark(ax: Any, at: float, colour: str) -> None:
     ax.time_panel.items.append({"colour": colour, "at": float(at)})
 
 
+def time_level(ax: Any, value: float, colour: str, dashes: Sequence[float] = (), **style: Any) -> None:
+    """Draw a value that holds all the time."""
+    ax.axhline(value, color=colour, linestyle=(0, tuple(dashes)) if dashes else "-", **style)
+    ax.time_panel.items.append({"colour": colour, "level": float(value), "dashes": list(dashes)})
+
+
 def _indices(ax: Any, time: Array, rows: Sequence[Array]) -> tuple[NDArray[np.intp], list[NDArray[np.intp]]]:
     """Return the samples for the picture, and those for the plot: of the whole time, and of the part that the picture shows."""
     panel, everything = ax.time_panel, slice(0, len(time))
@@ -103,7 +109,8 @@ def _thinned(rows: Sequence[Array], part: slice, columns: int) -> NDArray[np.int
     index = (part.start or 0) + np.unique(np.concatenate([extremes(row[part], columns) for row in rows]))
     gap = np.isnan(rows[0][index])
     inside = gap & np.append(True, gap[:-1]) & np.append(gap[1:], True)  # one sample on either side shows a gap
-    return index[~inside]
+    kept: NDArray[np.intp] = index[~inside]
+    return kept
 
 
 def _packed(values: Array, kind: str = "<f4") -> str:

@@ -20,7 +20,7 @@ from bristle.common.drawing import (
     LIMIT,
     MEASURED,
     OTHER,
-    REFERENCE,
+    REFERENCE_COLOUR,
     STYLE,
     TRUTH,
     Drawing,
@@ -210,7 +210,7 @@ def _signals(pictures: Pictures) -> Any:
     time_panel(top, part=_part(time))
     shown = (MEASURED, "measured velocity", {"linewidth": 0.9}) if pictures.measured else (TRUTH, "velocity", {"linewidth": 0.9})
     curves = (
-        ("reference", REFERENCE, "reference", {"linewidth": 0.9}),
+        ("reference", REFERENCE_COLOUR, "reference", {"linewidth": 0.9}),
         ("v_hat", ESTIMATE, "estimate of the velocity", {"linewidth": 2.4}), ("v", *shown),
     )  # fmt: skip
     for key, colour, label, style in curves:
@@ -237,7 +237,7 @@ def _tracking(pictures: Pictures) -> Any:
     time = found.time
     for ax in (top, bottom):
         time_panel(ax, part=_part(time))
-    time_curve(top, time, found.reference * DEGREES, REFERENCE, "reference", linewidth=0.9)
+    time_curve(top, time, found.reference * DEGREES, REFERENCE_COLOUR, "reference", linewidth=0.9)
     for error, colour, label in ((found.alone, OTHER, "controller alone"), (found.compensated, ESTIMATE, "with compensation")):
         time_curve(top, time, (found.reference - error) * DEGREES, colour, linewidth=1.0)
         time_curve(bottom, time, error * DEGREES, colour, label, linewidth=1.0)

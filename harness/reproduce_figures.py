@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import (
+    BASELINE,
     DEGREES,
     ESTIMATE,
     FAILED,
@@ -18,7 +19,7 @@ from bristle.common.drawing import (
     LIMIT,
     MEASURED,
     OTHER,
-    REFERENCE,
+    REFERENCE_COLOUR,
     STYLE,
     TRUTH,
     Drawing,
@@ -27,7 +28,7 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
-from bristle.common.time_plot import time_curve, time_panel
+from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.harness.figure_text import MODEL_LABELS
 from bristle.harness.figures import MODEL_COLOURS, PLAIN_SYMBOLS
 from bristle.harness.paper import PRINTED
@@ -35,10 +36,10 @@ from bristle.harness.reproduce import BASELINE_SCHEME, FILTER_ORDERS, LETTERS, S
 
 Array = NDArray[np.float64]
 
-SCHEME_COLOURS = {"printed": FAILED, "repaired": OTHER, "best": ESTIMATE}
+SCHEME_COLOURS = {"printed": BASELINE, "repaired": OTHER, "best": ESTIMATE}
 # several estimates in one pair of axes need several colours
 STEP1 = {"alpha2": ESTIMATE, "b": OTHER}
-STEP2 = {"sigma0": ESTIMATE, "sigma1": OTHER, "sigma2": LIMIT, "c": FAILED}
+STEP2 = {"sigma0": ESTIMATE, "sigma1": OTHER, "sigma2": LIMIT, "c": BASELINE}
 TAKEN_LARGER = {"step1": 1.0, "step2": 100.0}  # parameters of set S over the printed levels
 DASHED: Any = (0, (4, 3))
 SHOWN_SPEED = 100.0  # deg/s: right end of Fig. 1
@@ -124,7 +125,7 @@ def _reference(found: Comparison) -> Any:
     for ax, order in zip(axes, FILTER_ORDERS, strict=True):
         case = _case(found, BASELINE_SCHEME, order=order)
         time_panel(ax, "reference", found.window("reference_window"))
-        time_curve(ax, case.sample_time, case.reference * DEGREES, REFERENCE, linewidth=1.1)
+        time_curve(ax, case.sample_time, case.reference * DEGREES, REFERENCE_COLOUR, linewidth=1.1)
         set_title(ax, f"order {order}: {'one section' if order == 1 else 'two sections'} of 5 rad/s")
         set_labels(ax, x="time, s")
     axes[0].set_ylim(*(1.08 * value for value in PRINTED["reference_range"].values))
@@ -157,12 +158,12 @@ def _estimates(found: Comparison, colours: dict[str, str], step: str, unit: str)
         time_panel(ax, step, (first, last))
         for name, colour in colours.items():
             level = larger * PRINTED[name].values[0]
-            ax.axhline(level, color=colour, linestyle=DASHED, linewidth=0.9, alpha=0.7)
+            time_level(ax, level, colour, DASHED[1], linewidth=0.9)
             if name in case.hats:
                 time_curve(ax, case.time - begin, case.hats[name], colour, PLAIN_SYMBOLS[name])
         set_title(ax, LETTERS[scheme])
         if failed := case.result.get("diverged"):
-            ax.text(0.5, 0.5, f"diverged at {failed['time_s']:.3g} s", transform=ax.transAxes, ha="center", color=FAILED)
+            set_title(ax, f"diverged at {failed['time_s']:.3g} s", loc="right", fontsize=8, color=FAILED)
         set_labels(ax, x=f"time, s{', from the start of step 2' if begin else ''}")
     axes[0].set_ylim(low, high)
     set_labels(axes[0], y=unit)

@@ -25,7 +25,7 @@ from bristle.common.drawing import (
     set_title,
     svg,
 )
-from bristle.common.time_plot import time_curve, time_panel, time_span
+from bristle.common.time_plot import time_curve, time_level, time_panel, time_span
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.axes import shown
 from bristle.diagnosis.report.open_loop import horizon_figure, horizons_seen, open_loop_figure, whole_curves, worst
@@ -182,7 +182,7 @@ def _overlay(diagnosis: Diagnosis) -> Any:
         label = f"simulated, {name}" if both else "simulated, refitted model"
         time_curve(top, time, factor * values, colour, label, linestyle=style, linewidth=1.3)
         time_curve(low, time, factor * values - measured, colour, label, linewidth=1.0)
-    low.axhline(0, color=INK, linewidth=0.7)
+    time_level(low, 0.0, INK, linewidth=0.7)
     top.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.19))
     set_title(top, f"{trace.name}, where the error is largest")
     set_labels(top, y=f"{model.output_kind}, {unit}")
@@ -361,7 +361,7 @@ def _horizons(diagnosis: Diagnosis) -> Any:
 # -- in words ------------------------------------------------------------------------------------------------------------
 def _gap_seen(diagnosis: Diagnosis) -> str:
     output_unit = diagnosis.model.output_unit
-    rows = [("rms error" + (" before" if improved(diagnosis) else ""), diagnosis.gap.before)]
+    rows: list[tuple[str, float | None]] = [("rms error" + (" before" if improved(diagnosis) else ""), diagnosis.gap.before)]
     rows += [("after", diagnosis.gap.after)] if improved(diagnosis) else []
     rows += [("noise floor", drawn_floor(diagnosis))]
     found = [(name, *rms(square, output_unit)) for name, square in rows]

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.drawing import ESTIMATE, INK, MEASURED, OTHER, REFERENCE, new_figure, set_labels, set_title
+from bristle.common.drawing import BASELINE, ESTIMATE, INK, MEASURED, OTHER, new_figure, set_labels, set_title
 from bristle.common.html import number, table, unit
-from bristle.common.time_plot import time_curve, time_panel
+from bristle.common.time_plot import time_curve, time_level, time_panel
 from bristle.diagnosis.report.axes import shown
 from bristle.diagnosis.report.result import Trace, WholeRecords
 
@@ -45,7 +45,7 @@ def open_loop_figure(trace: Trace, curves: Sequence[Curve], output: tuple[str, s
         if curve.simulated is not None:
             time_curve(top, trace.time, factor * curve.simulated, curve.colour, curve.label, linestyle=curve.style)
             time_curve(low, trace.time, factor * (curve.simulated - trace.measured), curve.colour, curve.label, linewidth=1.0)
-    low.axhline(0, color=INK, linewidth=0.7)
+    time_level(low, 0.0, INK, linewidth=0.7)
     for ax in (top, low):
         ax.set_xlim(trace.time[0], trace.time[-1])
     top.legend(loc="lower right", ncols=3, bbox_to_anchor=(1.0, 1.0), fontsize=8)
@@ -106,7 +106,7 @@ def whole_curves(whole: WholeRecords, both: bool) -> list[Curve]:
     curves = [Curve("before", OTHER, trace.before, before)] if both else []
     if whole.refitted:
         segments = list(zip(seconds, (h.segments for h in whole.horizons), strict=True))
-        curves.append(Curve("as fitted to segments", REFERENCE, None, segments))
+        curves.append(Curve("as fitted to segments", BASELINE, None, segments))
     curves.append(Curve("after" if both else "refitted model", ESTIMATE, trace.after, after, (0, (3, 2)) if both else "-"))
     return curves
 

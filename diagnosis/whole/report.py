@@ -16,7 +16,7 @@ from bristle.diagnosis.report.open_loop import Curve, horizon_figure, horizons_s
 from bristle.diagnosis.whole.validation import ValidatedRecord, Validation
 
 VALIDATION_FILES = ("validation.json", "report.html")
-DRAWN_RECORDS = 12  # records that are drawn
+DRAWN_RECORDS = 8  # records that are drawn, each of which takes 0.1 MB of the page
 
 
 def write_validation(validation: Validation, out: Path, made: Mapping[str, Any] | None = None) -> list[Path]:

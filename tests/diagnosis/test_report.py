@@ -27,6 +27,7 @@ from bristle.plant.effects import effect
 from bristle.plant.wording import Wording
 
 CASES = ("named", "tie", "none", "not_identifiable", "proposals")
+MOST_BYTES = 1_000_000  # of a page
 VOID = {"meta", "img", "br"}
 
 
@@ -74,6 +75,7 @@ def test_every_verdict_makes_one_self_contained_page(answer, case):
     for line in (*diagnosis.statement, *diagnosis.findings, *diagnosis.proposals, diagnosis.experiment):
         assert line in text
     assert page.count("<img") == len(draw(diagnosis)) >= 2
+    assert len(page.encode()) <= MOST_BYTES
     assert not re.search(r'src="(?!data:)|href="(?!#)', page)
     assert not re.search(r"\bnan\b|\bNone\b|\binf\b", text)
 

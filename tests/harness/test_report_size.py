@@ -1,0 +1,16 @@
+"""The report of every shipped scenario fits into a mail: no more than a megabyte."""
+
+from pathlib import Path
+
+import pytest
+
+from bristle.harness.catalogue import scenario_files
+from bristle.harness.run import run
+
+MOST_BYTES = 1_000_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", scenario_files())
+def test_the_report_of_a_shipped_scenario_is_no_larger_than_a_megabyte(name: str, tmp_path: Path) -> None:
+    assert (run(scenario_files()[name], tmp_path).folder / "report.html").stat().st_size <= MOST_BYTES
