@@ -2,21 +2,23 @@
 
 python benchmarks/kill.py > benchmarks/results/kill.md
 
-Each command is killed (SIGKILL) so and so many times, at an instant drawn evenly from its usual duration and a tenth more. Whatever
-it said to be done before it died must be there. What the next command finds in the result folder (it finishes what was begun) must
-be the old result or the new one, complete; it must end well, with the digits of a command that was never killed. All work in
-progress that is left is made two days old before that, and the next command must remove it.
+Each command is killed (SIGKILL) so and so many times, in a fork of a process that has imported what it needs, at an instant drawn
+evenly from its usual duration and a tenth more. Whatever it said to be done before it died must be there. What the next command
+finds in the result folder (it finishes what was begun) must be the old result or the new one, complete; it must end well, with the
+digits of a command that was never killed. All work in progress that is left is made two days old before that, and the next command
+must remove it.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
 import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,6 +28,8 @@ from typing import Any
 
 import numpy as np
 
+from bristle.cli import main as cli
+from bristle.common import work
 from bristle.common.output import check_writable
 from bristle.common.work import OLD
 
@@ -46,6 +50,8 @@ class Command:
         As the table names it.
     arguments : tuple of str
         Of `bristle`; results go into the folder `out` of the working directory.
+    done : str
+        What it says when its result is written.
     kills : int
         How often it is killed.
     empty_cache : bool
@@ -54,14 +60,15 @@ class Command:
 
     name: str
     arguments: tuple[str, ...]
+    done: str
     kills: int
     empty_cache: bool = False
 
 
 COMMANDS = (
-    Command("run", ("run", "case.toml", "--out", "out"), 110),
-    Command("diagnose", ("diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"), 30),
-    Command("build, empty cache", ("build", "controller", "--out", "out"), 60, empty_cache=True),
+    Command("run", ("run", "case.toml", "--out", "out"), "report.html", 140),
+    Command("diagnose", ("diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"), "report.html", 20),
+    Command("build, empty cache", ("build", "controller", "--out", "out"), "Controller.fmu", 40, empty_cache=True),
 )
 SCENARIO = """
 duration = "5 s"
@@ -75,10 +82,10 @@ min = 1
 """
 HEAD = f"""# Commands that are killed
 
-Each command was killed (SIGKILL) at instants drawn evenly from its usual duration and a tenth more. "Old" and "new" say which
-result was in the folder afterwards, complete; the next command then had to give the digits of one that was never killed. "Done"
-says how often the command had said before that its result was written. All work in progress that was left was made two days old;
-the next command had to remove it. The record that is diagnosed has {SAMPLES} samples. Made by
+Each command was killed (SIGKILL), its imports done, at instants drawn evenly from its usual duration and a tenth more. "Old" and
+"new" say which result was in the folder afterwards, complete; the next command then had to give the digits of one that was never
+killed. "Done" says how often the command had said before that its result was written. All work in progress that was left was made
+two days old; the next command had to remove it. The record that is diagnosed has {SAMPLES} samples. Made by
 `python benchmarks/kill.py > benchmarks/results/kill.md`
 
 | command | usual duration, s | kills | done | old | new | neither | done and lost | wrong digits after | litter older than a day |
@@ -117,21 +124,46 @@ class Place:
         with np.load(hidden / "a.npz") as record:
             np.savez(folder / "a.npz", **{name: values[:SAMPLES] for name, values in record.items()})
 
-    def start(self) -> subprocess.Popen[str]:
-        """Start the command."""
-        environment = {**os.environ, "TMPDIR": str(self.folder / "tmp")}
+    def imported(self) -> None:
+        """Run the command in this process, which then has all imported, and keep what it says for itself."""
+        before, sys.argv = Path.cwd(), ["bristle", *self.command.arguments]
+        os.chdir(self.folder)
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+            cli.main()
+        os.chdir(before)
+
+    def start(self) -> tuple[int, int]:
+        """Start the command in a fork, which has imported what it needs; return process id and the pipe of what it says."""
+        said, answer = os.pipe()
+        if child := os.fork():
+            os.close(answer)
+            return child, said
+        for output in (1, 2):
+            os.dup2(answer, output)
+        os.chdir(self.folder)
+        os.environ["TMPDIR"] = str(self.folder / "tmp")
+        tempfile.tempdir = None
         if self.command.empty_cache:
-            environment["BRISTLE_CACHE"] = str(self.cache)
-        return subprocess.Popen(
-            [sys.executable, "-m", "bristle", *self.command.arguments], cwd=self.folder, env=environment, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
+            os.environ["BRISTLE_CACHE"] = str(self.cache)
+        work._swept.clear()  # as a new process begins
+        sys.argv = ["bristle", *self.command.arguments]
+        try:
+            cli.main()
+        except SystemExit as done:
+            sys.stdout.flush()
+            os._exit(int(done.code or 0))
+
+    def end(self, started: tuple[int, int]) -> tuple[int, str]:
+        """Wait for the end of a command; return its exit code and what it said."""
+        with os.fdopen(started[1]) as pipe:
+            said = pipe.read()
+        return os.waitstatus_to_exitcode(os.waitpid(started[0], 0)[1]), said
 
     def whole(self) -> dict[str, Any]:
         """Run the command to its end and return what it wrote."""
-        said, complained = (process := self.start()).communicate()
-        if process.returncode != 0:
-            raise SystemExit(f"{self.command.name}: exit code {process.returncode}: {said}{complained}")
+        code, said = self.end(self.start())
+        if code != 0:
+            raise SystemExit(f"{self.command.name}: exit code {code}: {said}")
         return content(self.folder / "out")
 
     def reset(self, old: Path) -> None:
@@ -165,9 +197,9 @@ def row(command: Command, share: float, chance: random.Random) -> str:
     """Kill a command and return its row of the table."""
     with tempfile.TemporaryDirectory() as name:
         place = Place(Path(name), command)
-        place.whole()  # fills the cache, or makes the old result
+        place.imported()
         if command.empty_cache:
-            shutil.rmtree(place.cache)
+            shutil.rmtree(place.cache, ignore_errors=True)
         begin = time.perf_counter()
         new, usual = place.whole(), time.perf_counter() - begin
         old = older(place)
@@ -177,16 +209,16 @@ def row(command: Command, share: float, chance: random.Random) -> str:
         for k in range(kills):
             print(f"{command.name}: {k} of {kills}", end="\r", file=sys.stderr, flush=True)
             place.reset(old)
-            process = place.start()
+            started = place.start()
             time.sleep(chance.uniform(0.0, MARGIN * usual))
-            process.send_signal(signal.SIGKILL)
-            said = process.communicate()[0]
+            os.kill(started[0], signal.SIGKILL)
+            said = command.done in place.end(started)[1]
             check_writable(place.folder / "out")
             found = content(place.folder / "out")
             state = "new" if found == new else "old" if found == before else "neither"
             count[state] += 1
-            count["done"] += bool(said)
-            count["lost"] += bool(said) and state != "new"
+            count["done"] += said
+            count["lost"] += said and state != "new"
             place.left(2 * OLD)
             count["wrong"] += place.whole() != new
             count["litter"] += bool(place.left())

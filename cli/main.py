@@ -18,17 +18,24 @@ def main() -> None:
     _on_signals(_leave)  # before the imports, which take most of the start
     for name, value in OPTIONS_OF_LIBRARIES.items():
         os.environ.setdefault(name, value)
+    import logging
     import warnings
 
     import bristle.cli.commands  # noqa: F401  # the application then has them
-    from bristle.cli.app import ERROR, PASS, app
+    from bristle.cli.app import ERROR, FAIL, PASS, app
     from bristle.cli.terminal import Interrupted, complain, interrupt, show_log, show_unraisable, show_warning
 
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home folder that it cannot write is no matter of ours
     warnings.showwarning, sys.unraisablehook = show_warning, show_unraisable
     show_log()
     try:
         _on_signals(interrupt)
         code = app(standalone_mode=False)
+        sys.stdout.flush()  # while an error of it can be said
+    except BrokenPipeError:  # nobody reads any more, as behind `| head`; the option parser ends so, too
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+        raise SystemExit(FAIL) from None
     except (Exception, Interrupted) as error:
         _on_signals(signal.SIG_IGN)
         complain(error, "--debug" in sys.argv)

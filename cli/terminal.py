@@ -6,8 +6,10 @@ import difflib
 import logging
 import re
 import shlex
+import shutil
 import signal
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -16,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from bristle.cli.app import app
 from bristle.common.errors import BristleError
+from bristle.common.work import no_room
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
 DID_YOU_MEAN = re.compile(r"\. Did you mean (.*\?)$")  # how the option parser proposes a command
 SECONDS_BETWEEN_LINES = 5.0  # s, of progress where there is no terminal for a bar
 LEAST_TOLD = logging.INFO  # level of what the library logs from which it is printed
+LONGEST_WORD, CUT_WORD = 300, 60  # characters that a word of a message may have, and what is kept of a longer one
+LEAST_ROOM = 1 << 20  # bytes; a folder for temporary files with less is taken for what was full
 LIKE = 0.75  # least likeness of an option that is proposed for one that does not exist
 
 
@@ -31,8 +36,9 @@ class Interrupted(BaseException):
 
 
 def say(line: str) -> None:
-    """Print one line, whatever it holds, to the error output."""
-    print(" ".join(line.split()), file=sys.stderr, flush=True)
+    """Print one line, whatever it holds, to the error output; a word in it that is longer than `LONGEST_WORD` is cut."""
+    words = (word if len(word) <= LONGEST_WORD else f"{word[:CUT_WORD]}... ({len(word)} characters)" for word in line.split())
+    print(" ".join(words), file=sys.stderr, flush=True)
 
 
 class Lines(logging.Handler):
@@ -154,6 +160,16 @@ def show_warning(
     say(f"bristle: {message}" if issubclass(category, FutureWarning) else f"{filename}:{lineno}: {category.__name__}: {message}")
 
 
+def _of_the_system(error: OSError) -> str:
+    """Return an error of the system as one line: of the file it names, of temporary files, or of the standard output."""
+    file, place = error.filename2 or error.filename, tempfile.gettempdir()
+    if (full := no_room(error)) and (shutil.disk_usage(place).free < LEAST_ROOM if file is None else str(file).startswith(place)):
+        return str(full)
+    if file is None:
+        return f"standard output: {error.strerror or error}; give it another place"
+    return f"{file}: {error.strerror}; check the path, its rights and the room there"
+
+
 def _names() -> list[str]:
     return [command.name or str(getattr(command.callback, "__name__", "")) for command in app.registered_commands]
 
@@ -165,6 +181,10 @@ def explain(error: BaseException) -> str:
         return "bristle: interrupted"
     if isinstance(error, BristleError):
         return f"bristle: {error}"
+    if isinstance(error, MemoryError):
+        return "bristle: no memory left; end other programs, or allow more (ulimit -v)"
+    if isinstance(error, OSError):
+        return f"bristle: {_of_the_system(error)}"
     if type(error).__name__ == "NoArgsIsHelpError":
         return f"bristle: no command; choose one of {', '.join(_names())}, or see bristle --help"
     if type(error).__name__ == "NoSuchOption":  # click also proposes options that are hardly alike

@@ -18,13 +18,24 @@ _seen: set[tuple[str, int, int, int]] = set()  # files that were compared with t
 def cache_folder() -> Path:
     """Return the cache folder: $BRISTLE_CACHE, else the platform's usual place; it is created if missing."""
     if given := os.environ.get("BRISTLE_CACHE"):
-        folder = Path(given)
-    elif sys.platform == "win32":
-        folder = Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "bristle"
-    elif sys.platform == "darwin":
-        folder = Path.home() / "Library" / "Caches" / "bristle"
-    else:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")) / "bristle"
+        return _usable(Path(given))
+    try:
+        return _usable(_usual_place())
+    except RuntimeError:
+        raise BristleError("there is no home folder for the cache; set BRISTLE_CACHE to a folder you can write") from None
+
+
+def _usual_place() -> Path:
+    """Return the cache folder of the platform; raise RuntimeError without a home folder."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "bristle"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "bristle"
+    return Path(os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")) / "bristle"
+
+
+def _usable(folder: Path) -> Path:
+    """Create the folder if it is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

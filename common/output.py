@@ -87,9 +87,9 @@ def write_file(path: Path, content: bytes) -> None:
 
 def check_not_replaced(out: Path, names: Sequence[str], inputs: Iterable[Path]) -> None:
     """Raise `BristleError` if a file of these names in `out` would take the place of an input."""
-    places = {(out / name).resolve() for name in names}
+    places = {os.path.realpath(out / name) for name in names}  # unlike `resolve`, of a loop of links too
     for path in inputs:
-        if path.resolve() in places:
+        if os.path.realpath(path) in places:
             raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from bristle.common.errors import BristleError, suggest
+
+SCALARS = ("str", "int", "float", "bool")  # names of types in the place of an error
 
 
 class Section(BaseModel):
@@ -45,6 +48,15 @@ def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
         raise BristleError(f"{path}: not UTF-8 text; give a TOML file") from None
     except tomllib.TOMLDecodeError as error:
         raise BristleError(f"{path}: not valid TOML: {error}; correct that line") from None
+    except (ValueError, RecursionError) as error:
+        raise BristleError(f"{path}: {too_much(error)}") from None
+
+
+def too_much(error: ValueError | RecursionError) -> str:
+    """Return what is wrong with TOML that is valid, but that Python does not read."""
+    if isinstance(error, RecursionError):
+        return "brackets inside brackets, more than Python reads; use fewer"
+    return f"a number of more than {sys.get_int_max_str_digits()} digits; write fewer"
 
 
 def _shown(value: object) -> str:
@@ -101,6 +113,8 @@ def first_mistake(path: Path | str, schema: type[BaseModel], error: ValidationEr
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
     kind, location, value = first["type"], [p for p in first["loc"] if not str(p).startswith("function-")], first["input"]
     key, context = _dotted(location), first.get("ctx", {})
+    if isinstance(value, (dict, list)) and location and location[-1] in SCALARS:  # pydantic tells for each type it could be
+        return mistake(path, _dotted(location[:-1]), value, "must be one value, not a table or a list; change the value")
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
     if kind == "extra_forbidden":
         section = _section_at(schema, location[:-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -12,6 +13,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from bristle.common.errors import BristleError
 
 WORK = ".bristle-"  # how such a folder begins, in an output folder, in the cache and among the temporary files
 JOURNAL = "journal.json"  # in such a folder: what it holds is being put into its place (`output`)
@@ -35,6 +38,13 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
         unlock(self._lock)
         self._lock = None
         super().cleanup()
+
+
+def no_room(error: BaseException) -> BristleError | None:
+    """Return the error to raise if the folder for temporary files is full; None if the error is of another kind."""
+    if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        return None
+    return BristleError(f"temporary folder {tempfile.gettempdir()}: {error.strerror}; make room, or set TMPDIR to another folder")
 
 
 @contextmanager

@@ -250,7 +250,7 @@ def _model(table: ModelTable, where: Path | str) -> Model:
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Let `coulomb.Fc = ...` mean the same with and without quotes."""
     for key, value in tree.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             yield from _flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value

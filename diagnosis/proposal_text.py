@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import tomllib
 from pathlib import Path
@@ -85,7 +86,7 @@ def write_model(found: Proposal, out: Path, replace_it: bool = False) -> None:
     """Write the model file, whole or not at all; `BristleError` if it exists and is not to be replaced."""
     if out.suffix.lower() != ".toml":
         raise BristleError(f"{out}: is no name of a model file; write for example model.toml")
-    if out.is_dir() or (out.exists() and not replace_it):
+    if out.is_dir() or (os.path.lexists(out) and not replace_it):
         raise BristleError(f"{out}: exists already; give another name, or allow it to be replaced")
     text = model_text(found, next_command(found, out))
     Model.from_dict(tomllib.loads(text), out)

@@ -18,7 +18,7 @@ from typing import Any
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.units import interval, parse_unit, quantity
-from bristle.common.work import TemporaryFolder
+from bristle.common.work import TemporaryFolder, no_room
 from bristle.fmus.calls import WATCH, Call
 
 Value = float | int | bool | str
@@ -352,7 +352,8 @@ class Slave:
         except BristleError:
             raise
         except Exception as error:
-            raise BristleError(f"FMU {self.fmu.path}: cannot be loaded: {self._why(error)}; rebuild or replace it") from None
+            other = BristleError(f"FMU {self.fmu.path}: cannot be loaded: {self._why(error)}; rebuild or replace it")
+            raise no_room(error) or other from None
 
     def _library(self, binaries: str) -> str:
         from fmpy import sharedLibraryExtension

@@ -7,7 +7,7 @@ import math
 import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Thread
@@ -234,8 +234,9 @@ def _no_progress(stage: str, done: int, total: int) -> None:
 
 def _load_drawing() -> None:
     """Import what the report needs while the compiled loop runs, which releases the interpreter."""
-    import matplotlib.backends.backend_svg
-    import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
+    with suppress(ImportError, OSError, MemoryError):  # the report says it, in the thread that needs it
+        import matplotlib.backends.backend_svg
+        import matplotlib.figure  # noqa: F401 - imported for its cost, not for its names
 
 
 def _trusted(setup: Setup) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 import warnings
@@ -13,7 +14,7 @@ from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, fi
 from pydantic_core import PydanticCustomError
 
 from bristle.common.errors import BristleError
-from bristle.common.toml import InUnit, Section, first_mistake, mistake, read_toml
+from bristle.common.toml import InUnit, Section, first_mistake, mistake, read_toml, too_much
 from bristle.common.units import quantity
 from bristle.records.layout import Column, LayoutTable
 
@@ -278,7 +279,7 @@ class Loaded:
 
     def beside(self, file: str) -> Path:
         """Return a path as written in the file, which is relative to the file."""
-        return (self.path.parent / Path(file).expanduser()).resolve()
+        return Path(os.path.realpath(self.path.parent / Path(file).expanduser()))
 
     def error(self, key: str, value: object, message: str) -> BristleError:
         """Return the one-line error for a key of this file."""
@@ -379,6 +380,8 @@ def _parse(text: str) -> Any:
         return tomllib.loads(f"x = {text}")["x"]
     except tomllib.TOMLDecodeError:
         return text
+    except (ValueError, RecursionError) as error:
+        raise BristleError(f"override '{text}': {too_much(error)}") from None
 
 
 def _override(tree: dict[str, Any], override: str) -> None:

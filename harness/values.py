@@ -65,7 +65,7 @@ def seeds_of(given: str) -> list[int]:
 def _listed(given: str, spec: str) -> list[str]:
     try:
         values = [str(value).lower() if isinstance(value, bool) else str(value) for value in tomllib.loads(f"x = {spec}")["x"]]
-    except (tomllib.TOMLDecodeError, TypeError):
+    except (ValueError, TypeError, RecursionError):
         values = [part.strip() for part in spec.removeprefix("[").removesuffix("]").split(",")]
     if not values or not all(values) or not spec.endswith("]"):
         raise BristleError(f"vary '{given}': '{spec}' is no list; write [v1, v2]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -101,7 +102,7 @@ def distinct_files(paths: Path | str | Sequence[Path | str]) -> list[Path]:
     listed = as_paths("paths", paths)
     if not listed:
         raise BristleError("no record is given; give at least one measured file")
-    real = [path.resolve() for path in listed]
+    real = [os.path.realpath(path) for path in listed]  # unlike `resolve`, of a loop of links too
     for k, path in enumerate(real):
         if path in real[:k]:
             raise BristleError(f"record {listed[k]}: is given twice; a copy is no second measurement: leave it out")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from bristle.common.errors import BristleError
+from bristle.common.work import no_room
 from bristle.fmus.conformance.registry import parsed
 from bristle.fmus.host import Fmu
 
@@ -131,7 +132,8 @@ class Subject(Fmu):
         try:
             extract(str(self.path), str(self.folder))
         except Exception as error:  # FMPy passes on what it meets
-            raise BristleError(f"FMU {self.path}: cannot be unpacked: {' '.join(str(error).split())}; pack it again") from None
+            other = BristleError(f"FMU {self.path}: cannot be unpacked: {' '.join(str(error).split())}; pack it again")
+            raise no_room(error) or other from None
         (self.folder / "resources").mkdir(exist_ok=True)
 
     def library_path(self, kind: str = CO_SIMULATION) -> Path:
