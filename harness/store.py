@@ -12,7 +12,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,9 +23,9 @@ import pyarrow.parquet as pq
 from bristle.common.cache import digest
 from bristle.common.errors import BristleError
 from bristle.common.output import replace_file, to_json
+from bristle.common.work import TemporaryFolder
 
 SWEEPS, RUNS = "sweeps", "runs"  # folders of a store
-MAKING_CHUNK = ".making-"  # how folders begin in which a file is written
 ERROR_VERDICT = "error"
 ROW_NUMBER = "row_number() OVER (PARTITION BY key ORDER BY verdict = 'error')"
 
@@ -81,7 +80,7 @@ class Store:
             return
         name = f"{digest(*(row['key'] for row in rows))[:24]}.parquet"
         try:
-            with tempfile.TemporaryDirectory(dir=self.path / RUNS, prefix=MAKING_CHUNK, ignore_cleanup_errors=True) as folder:
+            with TemporaryFolder("chunk", self.path / RUNS) as folder:
                 with (Path(folder) / name).open("wb") as file:
                     pq.write_table(table_of(rows), file, compression="zstd", write_page_checksum=True)
                     file.flush()

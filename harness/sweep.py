@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 import shlex
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,6 +27,7 @@ from bristle.common.errors import BristleError
 from bristle.common.output import plain
 from bristle.common.provenance import provenance
 from bristle.common.toml import read_toml
+from bristle.common.work import TemporaryFolder
 from bristle.fmus.calls import CONTROL_SIZE, Control
 from bristle.fmus.host import Alias, Fmu
 from bristle.fmus.isolate import isolated
@@ -323,11 +323,11 @@ def _unpacked(sweep: Sweep) -> Sweep:
 
 _unpacking = threading.Lock()
 _places: dict[str, dict[str, Path]] = {}  # where the files of a sweep are, by its identity
-_folders: list[tempfile.TemporaryDirectory[str]] = []  # which live as long as the process
+_folders: list[TemporaryFolder] = []  # which live as long as the process
 
 
 def _written(files: Mapping[str, bytes]) -> dict[str, Path]:
-    _folders.append(tempfile.TemporaryDirectory(prefix="bristle-sweep-", ignore_cleanup_errors=True))
+    _folders.append(TemporaryFolder("sweep"))
     found = {}
     for place, (name, content) in enumerate(files.items()):
         found[name] = Path(_folders[-1].name) / str(place) / Path(name).name
