@@ -32,6 +32,7 @@ from bristle.cli import main as cli
 from bristle.common import work
 from bristle.common.output import check_writable
 from bristle.common.work import OLD
+from bristle.harness.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
 OF_THE_CALL = {"wall_s", "seconds", "date", "command", "times_s", "timing"}  # keys of results that no two calls have in common
@@ -70,6 +71,7 @@ COMMANDS = (
     Command("diagnose", ("diagnose", "model.toml", "--data", "a.npz", "--jobs", "1", "--out", "out"), "report.html", 20),
     Command("build, empty cache", ("build", "controller", "--out", "out"), "Controller.fmu", 40, empty_cache=True),
 )
+SWEEP = Command("sweep", ("sweep", "case.toml", "--seeds", "1-48", "-j", "2", "--out", "out", "--resume"), " runs in ", 40)
 SCENARIO = """
 duration = "5 s"
 [plant]
@@ -85,7 +87,8 @@ HEAD = f"""# Commands that are killed
 Each command was killed (SIGKILL), its imports done, at instants drawn evenly from its usual duration and a tenth more. "Old" and
 "new" say which result was in the folder afterwards, complete; the next command then had to give the digits of one that was never
 killed. "Done" says how often the command had said before that its result was written. All work in progress that was left was made
-two days old; the next command had to remove it. The record that is diagnosed has {SAMPLES} samples. Made by
+two days old; the next command had to remove it. The record that is diagnosed has {SAMPLES} samples. The
+store of a sweep was empty before ("old"), whole ("new") or held some of its runs ("neither"); `--resume` made the rest. Made by
 `python benchmarks/kill.py > benchmarks/results/kill.md`
 
 | command | usual duration, s | kills | done | old | new | neither | done and lost | wrong digits after | litter older than a day |
@@ -226,6 +229,43 @@ def row(command: Command, share: float, chance: random.Random) -> str:
     return f"| `{command.arguments[0]}`{command.name.removeprefix(command.arguments[0])} | {' | '.join(figures)} |"
 
 
+def sweep_row(share: float, chance: random.Random) -> str:
+    """Kill a sweep, go on with --resume, and return its row: "new" says that its store was whole already."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Place(Path(name), SWEEP)
+        place.imported()
+        shutil.rmtree(place.folder / "out")
+        begin = time.perf_counter()
+        place.whole()
+        usual, new = time.perf_counter() - begin, table(place)
+        count = dict.fromkeys(("done", "old", "new", "neither", "lost", "wrong", "litter"), 0)
+        kills = max(1, round(share * SWEEP.kills))
+        for k in range(kills):
+            print(f"{SWEEP.name}: {k} of {kills}", end="\r", file=sys.stderr, flush=True)
+            shutil.rmtree(place.folder / "out", ignore_errors=True)
+            started = place.start()
+            time.sleep(chance.uniform(0.0, MARGIN * usual))
+            os.kill(started[0], signal.SIGKILL)
+            said = SWEEP.done in place.end(started)[1]
+            found = table(place)
+            count["new" if found == new else "old" if not found else "neither"] += 1
+            count["done"] += said
+            count["lost"] += said and found != new
+            count["wrong"] += any(new.get(key) != run for key, run in found.items())
+            place.left(2 * OLD)
+            place.whole()
+            count["wrong"] += table(place) != new
+            count["litter"] += bool(place.left())
+        return f"| `sweep` | {usual:.1f} | {kills} | {' | '.join(str(each) for each in count.values())} |"
+
+
+def table(place: Place) -> dict[str, Any]:
+    """Return the runs of a store by their keys, without the time that they took; none if there is no store."""
+    store = Store(place.folder / "out")
+    rows = store.table().to_pylist() if store.files() else []
+    return {row["key"]: without(row) for row in rows}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--share", type=float, default=1.0, help="of the kills, for a quick look")
@@ -233,6 +273,7 @@ def main() -> None:
     print(HEAD)
     for command in COMMANDS:
         print(row(command, share, chance), flush=True)
+    print(sweep_row(share, chance), flush=True)
 
 
 if __name__ == "__main__":
