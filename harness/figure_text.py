@@ -36,10 +36,10 @@ def _estimates(pictures: Pictures) -> str:
 
 def _estimate(name: str, facts: Mapping[str, Any]) -> str:
     """Return: estimate of alpha2 settles at 51 s, ends at 2.002 1/s against a true 2."""
-    last, true, settled = (facts.get(key) for key in ("final", "true", "settling_s"))
+    last, true, settled, error = (facts.get(key) for key in ("final", "true", "settling_s", "error_percent"))
     unit = "" if facts["unit"] == "1" else f" {facts['unit']}"
     words = []
-    if true is not None:
+    if error is not None and math.isfinite(error):  # an error in percent of a true 0 says nothing
         known = settled is not None and math.isfinite(settled)
         words.append(f"settles at {settled:.3g} s" if known else "does not settle")
     if not facts["valid"]:
