@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.drawing import BLUE, GREY, RED, STYLE, new_figure, set_labels, set_title, svg
+from bristle.common.drawing import ESTIMATE, FAILED, GREY, STYLE, new_figure, set_labels, set_title, svg
 from bristle.common.html import badge, figure, identifier, number, page, table
 from bristle.harness.store import ERROR_VERDICT, Store
 
@@ -29,7 +29,7 @@ HISTOGRAM_BINS = 40
 TAIL = 1.0  # percent of the runs at either end that a histogram leaves out
 PERCENTILES = (5.0, 50.0, 95.0)
 MAP_SEED = 1  # chooses which passing runs are shown
-OUTCOMES = {"pass": BLUE, "fail": RED, ERROR_VERDICT: GREY}  # colour by verdict
+OUTCOMES = {"pass": ESTIMATE, "fail": FAILED, ERROR_VERDICT: GREY}  # colour by verdict
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _histograms(found: Sequence[Mapping[str, Any]]) -> str:
             ax = drawing.add_subplot(lines, columns, place)
             low, high = np.percentile(each["errors"], (TAIL, 100 - TAIL))
             room = 0.02 * (high - low) or 1e-3
-            ax.hist(each["errors"], HISTOGRAM_BINS, range=(low - room, high + room), color=BLUE)
+            ax.hist(each["errors"], HISTOGRAM_BINS, range=(low - room, high + room), color=ESTIMATE)
             ax.axvline(0.0, color=GREY, linewidth=1.0)
             set_title(ax, each["parameter"])
             set_labels(ax, "error, %", "runs" if place % columns == 1 or columns == 1 else None)
