@@ -305,6 +305,27 @@ method = "rls"
     assert compared.passed, differences(compared)
 
 
+def test_an_fmu_from_elsewhere_is_run_as_it_is(scenario_file: Maker, tiny_fmu: Maker, base: str, tmp_path: Path) -> None:
+    parameters = base[base.index("[plant.parameters]") : base.index("[observer]")]
+    text = base.replace(parameters, "").replace('law = "modified"', f'fmu = "{tiny_fmu()}"')
+    checked = check(scenario_file(text), tmp_path)
+    plain = next(each for each in toolchains() if each.name == "without optimisation")
+    assert built(checked.setup, plain).fmus["plant"] == checked.setup.fmus["plant"]
+    found = make_baseline(checked, ways=uncompiled(checked))
+    assert len(found.runs) == 8  # it has no steps of an integrator to change
+    assert all(each["differs"] for each in found.runs)
+    assert found.quantities["behaviour.drive_work"].why == "the plant has no J and no b and no output F"
+
+
+def test_a_run_that_ends_early_is_no_reference(
+    scenario_file: Maker, tiny_fmu: Maker, base: str, tmp_path: Path, message: Message
+) -> None:
+    parameters = base[base.index("[plant.parameters]") : base.index("[observer]")]
+    text = base.replace(parameters, "").replace('law = "modified"', f'fmu = "{tiny_fmu("error")}"')
+    checked = check(scenario_file(text), tmp_path)
+    assert "a reference needs a run that reaches its end" in message(lambda: make_baseline(checked, ways=[]))
+
+
 def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
     accepted: tuple[Path, Baseline], full: Path, tmp_path: Path, message: Message
 ) -> None:
