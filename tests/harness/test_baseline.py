@@ -16,6 +16,7 @@ from bristle.harness.baseline import Baseline, Judged, make_baseline, measured_q
 from bristle.harness.comparison import Comparison, compare_folders, comparison_json, differences, judge_quantity, write_comparison
 from bristle.harness.repeats import Repeat, built, repeats, run_again, run_rounded, toolchains
 from bristle.harness.run import Checked, Options, check, run
+from bristle.harness.tube import SAFETY
 
 Message = Callable[[Callable[[], Any]], str]
 Maker = Callable[..., Path]
@@ -244,14 +245,14 @@ def test_numbers_exist_in_all_repeated_runs_in_none_or_are_not_judged() -> None:
     def judged(first: float | None, *others: float | None) -> Judged:
         return measured_quantities(result(first), [result(each) for each in others])["behaviour.x"]
 
-    assert judged(1.0, 1.1, 0.95).tolerance == pytest.approx(0.3)
+    assert judged(1.0, 1.1, 0.95).tolerance == pytest.approx(SAFETY * 0.1)
     assert judged(None, None) == Judged("s", None, None, "no x")
     for unclear in (judged(1.0, 1.0, None), judged(None, 1.0)):
         assert not unclear.judged
         assert judge_quantity("behaviour.x", unclear, Judged("s", 5.0)).passed is None
     known = judged(1.0, 1.1)
-    assert judge_quantity("behaviour.x", known, Judged("s", 1.29)).passed
-    assert judge_quantity("behaviour.x", known, Judged("s", 1.31)).passed is False
+    assert judge_quantity("behaviour.x", known, Judged("s", 1.0 + 0.099 * SAFETY)).passed
+    assert judge_quantity("behaviour.x", known, Judged("s", 1.0 + 0.101 * SAFETY)).passed is False
     assert judge_quantity("behaviour.x", known, Judged("s", None)).passed is False
     assert judge_quantity("behaviour.x", known, None).passed is False
     assert judge_quantity("behaviour.x", judged(None, None), Judged("s", 1.0)).passed is False
