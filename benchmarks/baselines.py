@@ -184,10 +184,10 @@ def main() -> None:
     for tried in done:
         for kind, tally in tried.tallies.items():
             tallies.setdefault(kind, Tally()).merge(tally)
-    report(tallies, done, len(scenarios))
+    report(tallies, done, [name for name in names if not any(tried.row.startswith(f"| {name} |") for tried in done)])
 
 
-def report(tallies: dict[str, Tally], done: list[Tried], scenarios: int) -> None:
+def report(tallies: dict[str, Tally], done: list[Tried], left_out: list[str]) -> None:
     """Print the page."""
     changes, missed = sum(tried.changes for tried in done), [each for tried in done for each in tried.missed]
     own, others = own_compilers(), list(tallies.values())
@@ -198,8 +198,8 @@ def report(tallies: dict[str, Tally], done: list[Tried], scenarios: int) -> None
     bound, inside = 100 * upper_bound(alarms, signals), changes - len(missed)
     print(f"""# How often a baseline is wrong
 
-Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md`, over {len(done)} of the {scenarios} scenarios of the
-library, in {seconds / 60:.0f} minutes of one process in all. Compilers of this machine: {compilers}. Each scenario gets a baseline
+Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md`, over {len(done)} scenarios of the library
+(not run, because they take long: {", ".join(left_out) or "none"}), in {seconds / 60:.0f} minutes of one process in all. Compilers of this machine: {compilers}. Each scenario gets a baseline
 by {" and ".join(own)} alone. Then it runs again without a change, in ways that the baseline has not seen, and with each number of
 its plant 1 % larger. All signals that move are judged, at the rows of the baseline.
 
@@ -231,6 +231,14 @@ Goal: seen in at least 99 % of cases. Measured: {inside} of {changes}, {percent(
 | scenario | signals that move | alarms without a change | changes seen | s |
 |---|---|---|---|---|""")
     print("\n".join(tried.row for tried in done))
+    print("""
+## What limits these figures
+
+- The factor 10 was chosen when 3 had left alarms on these scenarios with these seeds: they show that it suffices there, and are no test
+  of it on others.
+- Signals of one run are not independent: an event that moves reaches many of them.
+- A compiler alone changes no digit (the equations are compiled without fused operations), so its runs can raise no alarm; fused ones can.
+- Another processor or mathematical library was not at hand.""")
 
 
 if __name__ == "__main__":
