@@ -1,6 +1,7 @@
 """How often a baseline is wrong: alarms without a change, and changes of 1 % that are not seen, over the scenarios of the library.
 
-python benchmarks/baselines.py > benchmarks/results/baselines.md
+python benchmarks/baselines.py --keep FOLDER
+python benchmarks/baselines.py --keep FOLDER --finished > benchmarks/results/baselines.md
 
 A baseline is made with the machine's own compiler; gcc, clang and zig, those that the machine has and the baseline has not seen,
 and further roundings of the start values are the runs without a change.
@@ -198,10 +199,12 @@ def report(tallies: dict[str, Tally], done: list[Tried], left_out: list[str]) ->
     bound, inside = 100 * upper_bound(alarms, signals), changes - len(missed)
     print(f"""# How often a baseline is wrong
 
-Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md`, over {len(done)} scenarios of the library
-(not run, because they take long: {", ".join(left_out) or "none"}), in {seconds / 60:.0f} minutes of one process in all. Compilers of this machine: {compilers}. Each scenario gets a baseline
-by {" and ".join(own)} alone. Then it runs again without a change, in ways that the baseline has not seen, and with each number of
-its plant 1 % larger. All signals that move are judged, at the rows of the baseline.
+Made by `python benchmarks/baselines.py --keep FOLDER`, and `--finished` for this page, over {len(done)} scenarios of the library
+in {seconds / 60:.0f} minutes of one process in all. Not run: {", ".join(left_out) or "none"}.
+
+Compilers of this machine: {compilers}. Each scenario gets a baseline by {" and ".join(own)} alone. Then it runs again without a
+change, in ways that the baseline has not seen, and with each number of its plant 1 % larger. All signals that move are judged, at
+the rows of the baseline.
 
 ## Alarms without a change
 
@@ -234,10 +237,10 @@ Goal: seen in at least 99 % of cases. Measured: {inside} of {changes}, {percent(
     print("""
 ## What limits these figures
 
-- The factor 10 was chosen when 3 had left alarms on these scenarios with these seeds: they show that it suffices there, and are no test
-  of it on others.
+- The factor 10 was chosen when 3 had left alarms on these scenarios with these seeds: they show that it suffices there, and are
+  no test of it on others.
 - Signals of one run are not independent: an event that moves reaches many of them.
-- A compiler alone changes no digit (the equations are compiled without fused operations), so its runs can raise no alarm; fused ones can.
+- A compiler alone changes no digit, because nothing is fused, so its runs can raise no alarm; fused ones can.
 - Another processor or mathematical library was not at hand.""")
 
 
