@@ -1,6 +1,7 @@
 """How often a baseline is wrong: alarms without a change, and changes of 1 % that are not seen, over the scenarios of the library.
 
-python benchmarks/baselines.py > benchmarks/results/baselines.md
+python benchmarks/baselines.py --keep FOLDER
+python benchmarks/baselines.py --keep FOLDER --finished > benchmarks/results/baselines.md
 
 A baseline is made with the machine's own compiler; gcc, clang and zig, those that the machine has and the baseline has not seen,
 and further roundings of the start values are the runs without a change.
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import os
 import sys
 import tempfile
 import time
@@ -38,7 +40,7 @@ JOBS = 2  # processes
 UNSEEN_SEEDS = range(101, 105)  # of roundings that no baseline has seen
 CHANGE = 1.01  # factor of a parameter that must be seen
 IDLE = ("sample_time", "theta_start", "v_start", "u_max")  # parameters that a run may not depend on
-FACTORS = (1.0, SAFETY, 10.0)  # multiples of the measured spread
+FACTORS = (1.0, 3.0, SAFETY)  # multiples of the measured spread
 
 
 @dataclass
@@ -93,9 +95,15 @@ def unseen(setup: Setup) -> Iterator[tuple[str, Repeated]]:
     for seed in UNSEEN_SEEDS:
         yield "other roundings of the start values", run_rounded(setup, seed)
     for name, command in known_compilers().items():
-        if command[0] != find_compiler()[0] or "ziglang" in command:
+        if name not in own_compilers():
             yield name, run_built(setup, Toolchain(name, command))
             yield f"{name}, fused", run_built(setup, Toolchain(f"{name}, fused", command, fused_flags()))
+
+
+def own_compilers() -> list[str]:
+    """Return by which of the known names the compiler goes that makes the baselines."""
+    program = os.path.realpath(find_compiler()[0])
+    return [name for name, command in known_compilers().items() if os.path.realpath(command[0]) == program]
 
 
 def changed(setup: Setup) -> Iterator[tuple[str, Setup]]:
@@ -177,23 +185,26 @@ def main() -> None:
     for tried in done:
         for kind, tally in tried.tallies.items():
             tallies.setdefault(kind, Tally()).merge(tally)
-    report(tallies, done, len(scenarios))
+    report(tallies, done, [name for name in names if not any(tried.row.startswith(f"| {name} |") for tried in done)])
 
 
-def report(tallies: dict[str, Tally], done: list[Tried], scenarios: int) -> None:
+def report(tallies: dict[str, Tally], done: list[Tried], left_out: list[str]) -> None:
     """Print the page."""
     changes, missed = sum(tried.changes for tried in done), [each for tried in done for each in tried.missed]
-    signals, alarms = sum(t.signals for t in tallies.values()), sum(t.alarms for t in tallies.values())
-    numbers, number_alarms = sum(t.numbers for t in tallies.values()), sum(t.number_alarms for t in tallies.values())
+    own, others = own_compilers(), list(tallies.values())
+    signals, alarms = sum(t.signals for t in others), sum(t.alarms for t in others)
+    numbers, number_alarms = sum(t.numbers for t in others), sum(t.number_alarms for t in others)
     seconds = sum(tried.seconds for tried in done)
-    compilers, own = ", ".join(known_compilers()), find_compiler()[0].rpartition("/")[2]
+    compilers = ", ".join(known_compilers())
     bound, inside = 100 * upper_bound(alarms, signals), changes - len(missed)
     print(f"""# How often a baseline is wrong
 
-Made by `python benchmarks/baselines.py > benchmarks/results/baselines.md`, over {len(done)} of the {scenarios} scenarios of the
-library, in {seconds / 60:.0f} minutes of one process in all. Compilers of this machine: {compilers}. Each scenario gets a baseline
-by the compiler `{own}` alone. Then it runs again without a change, in ways that the baseline has not seen, and with each number of
-its plant 1 % larger. All signals that move are judged, at the rows of the baseline.
+Made by `python benchmarks/baselines.py --keep FOLDER`, and `--finished` for this page, over {len(done)} scenarios of the library
+in {seconds / 60:.0f} minutes of one process in all. Not run: {", ".join(left_out) or "none"}.
+
+Compilers of this machine: {compilers}. Each scenario gets a baseline by {" and ".join(own)} alone. Then it runs again without a
+change, in ways that the baseline has not seen, and with each number of its plant 1 % larger. All signals that move are judged, at
+the rows of the baseline.
 
 ## Alarms without a change
 
@@ -212,7 +223,7 @@ Signals outside a tube of so many times the spread that the repeated runs of the
 | factor | signals outside | share |
 |---|---|---|""")
     for factor in FACTORS:
-        count = sum(t.beyond.get(f"{factor:g}", 0) for t in tallies.values())
+        count = sum(t.beyond.get(f"{factor:g}", 0) for t in others)
         print(f"| {factor:g} | {count} of {signals} | {percent(count, signals)} |")
     print(f"""
 ## Changes of 1 % in a parameter of the plant
@@ -223,6 +234,14 @@ Goal: seen in at least 99 % of cases. Measured: {inside} of {changes}, {percent(
 | scenario | signals that move | alarms without a change | changes seen | s |
 |---|---|---|---|---|""")
     print("\n".join(tried.row for tried in done))
+    print("""
+## What limits these figures
+
+- The factor 10 was chosen when 3 had left alarms on these scenarios with these seeds: they show that it suffices there, and are
+  no test of it on others.
+- Signals of one run are not independent: an event that moves reaches many of them.
+- A compiler alone changes no digit, because nothing is fused, so its runs can raise no alarm; fused ones can.
+- Another processor or mathematical library was not at hand.""")
 
 
 if __name__ == "__main__":

@@ -192,15 +192,16 @@ def least_tolerance(path: str, value: float, step: float) -> float:
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-def write_baseline(out: Path, name: str, found: Baseline, scenario: str) -> Path:
-    """Write a baseline into `out/name`, in the place of an older one: all files or none."""
+def write_baseline(out: Path, name: str, found: Baseline, scenario: str, command: str = "") -> Path:
+    """Write a baseline into `out/name`, in the place of an older one: all files or none; `command` repeats it."""
     target = out / name
     refuse_other(target)
     quantities = {path: vars(each) for path, each in found.quantities.items()}
     stored = found.signals
     tree = {
         "scenario": name, "safety": SAFETY, "rows": len(stored.rows), "steps": found.result["steps"],
-        "step_s": found.result["step_s"], "runs": list(found.runs), "quantities": quantities, "provenance": provenance(),
+        "step_s": found.result["step_s"], "runs": list(found.runs), "quantities": quantities,
+        "provenance": {**found.result["provenance"], **provenance(), "command": command},
     }  # fmt: skip
     files = {
         "baseline.json": to_json(tree).encode(), "result.json": to_json(plain(found.result)).encode(),

@@ -72,7 +72,10 @@ class SignalCourse:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Verdicts of all signals and numbers, what makes both incomparable, and what is said without being judged."""
+    """Verdicts of all signals and numbers, what makes both incomparable, and what is said without being judged.
+
+    `made` holds where A and B come from, as of their result.json; `command` repeats the comparison.
+    """
 
     first: str
     second: str
@@ -83,6 +86,8 @@ class Comparison:
     quantities: tuple[QuantityVerdict, ...]
     notes: tuple[str, ...]
     courses: Mapping[str, SignalCourse]
+    made: tuple[Mapping[str, Any], Mapping[str, Any]]
+    command: str = ""
 
     @property
     def passed(self) -> bool:
@@ -166,11 +171,12 @@ def compare_folders(first: Path, second: Path) -> Comparison:
 def compare_sides(a: Baseline, b: Baseline) -> Comparison:
     """Judge the run of `b` against that of `a`, with the tolerances of `a`, at the times that both have."""
     notes, refused, scenario = _origins(a.result, b.result), _refused(a.result, b.result), str(a.result["scenario"])
+    made = _made(a.result), _made(b.result)
     rows, at_a, at_b = np.intersect1d(a.signals.rows, b.signals.rows, assume_unique=True, return_indices=True)
     if not refused and not len(rows):
         refused = ("they have no time in common; run B again with --full",)
     if refused:
-        return Comparison("A", "B", scenario, 0, refused, (), (), tuple(notes), {})
+        return Comparison("A", "B", scenario, 0, refused, (), (), tuple(notes), {}, made)
     new = [name for name in b.signals.values if name not in a.signals.values]
     notes += [f"signals that only B has, not judged: {', '.join(new)}"] if new else []
     time = np.asarray(rows * float(a.result["step_s"]), dtype=np.float64)
@@ -183,7 +189,13 @@ def compare_sides(a: Baseline, b: Baseline) -> Comparison:
         courses[name] = SignalCourse(time, expected[at_a], lower, upper, b.signals.values[name][at_b])
         signals.append(judge_signal(name, courses[name]))
     quantities = tuple(judge_quantity(path, each, b.quantities.get(path)) for path, each in a.quantities.items())
-    return Comparison("A", "B", scenario, len(rows), (), tuple(signals), quantities, tuple(notes), courses)
+    return Comparison("A", "B", scenario, len(rows), (), tuple(signals), quantities, tuple(notes), courses, made)
+
+
+def _made(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where a result comes from, with the hashes of its FMUs and its record."""
+    fmus = {name: fmu["sha256"] for name, fmu in result.get("fmus", {}).items()}
+    return {**result.get("provenance", {}), "fmus_sha256": fmus, "record_sha256": look_up(result, "record.sha256")}
 
 
 def _refused(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[str, ...]:
@@ -283,7 +295,7 @@ def comparison_json(found: Comparison) -> bytes:
                 "scenario": found.scenario, "verdict": "pass" if found.passed else "differs", "first": found.first,
                 "second": found.second, "rows": found.rows, "refused": list(found.refused), "notes": list(found.notes),
                 "signals": [_row(each) for each in found.signals], "quantities": [_row(each) for each in found.quantities],
-                "provenance": provenance(),
+                "provenance": {**provenance(), "command": found.command, "first": found.made[0], "second": found.made[1]},
             }
         )
     ).encode()  # fmt: skip

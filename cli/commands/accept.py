@@ -22,7 +22,7 @@ from bristle.cli.app import (
     path_of,
 )
 from bristle.cli.files import refuse_duplicates
-from bristle.cli.terminal import fraction
+from bristle.cli.terminal import command_line, fraction
 
 
 @app.command(
@@ -61,7 +61,7 @@ def accept(
             loaded = each.setup.loaded
             with fraction(loaded.name) as tell:
                 found = make_baseline(each, tell)
-            folder = write_baseline(out, loaded.name, found, loaded.text)
+            folder = write_baseline(out, loaded.name, found, loaded.text, command_line())
             size = sum(path.stat().st_size for path in folder.iterdir())
             done = [run for run in found.runs if not run["why"]]
             verdict = found.result["verdict"]

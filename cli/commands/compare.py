@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from bristle.cli.app import FAIL, PASS, DebugOption, app, path_of
+from bristle.cli.terminal import command_line
 
 
 @app.command(
@@ -28,7 +30,7 @@ def compare(
 
     if json is not None:
         check_not_replaced(json.parent, [json.name], [path for folder in (first, second) for path in folder.glob("*")])
-    found = compare_folders(first, second)
+    found = replace(compare_folders(first, second), command=command_line())
     report = write_comparison(found, out)
     if json is not None:
         replace_file(json, comparison_json(found))

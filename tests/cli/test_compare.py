@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -25,7 +26,10 @@ def kept(call: Call, case: Path, tmp_path: Path) -> Path:
 
 
 def test_a_rerun_is_the_same_and_a_change_is_not(call: Call, case: Path, kept: Path, tmp_path: Path) -> None:
-    runs = json.loads((kept / "baseline.json").read_text(encoding="utf-8"))["runs"]
+    stored = json.loads((kept / "baseline.json").read_text(encoding="utf-8"))
+    assert stored["provenance"]["command"].startswith("bristle accept ")
+    assert stored["provenance"]["scenario_sha256"] == hashlib.sha256((kept / "scenario.toml").read_bytes()).hexdigest()
+    runs = stored["runs"]
     names = [each["name"] for each in runs if not each["why"]]
     assert "without optimisation" in names
     assert "sums in another order" in names
@@ -46,6 +50,10 @@ def test_a_rerun_is_the_same_and_a_change_is_not(call: Call, case: Path, kept: P
     tree = json.loads((tmp_path / "verdicts.json").read_text(encoding="utf-8"))
     assert tree["verdict"] == "differs"
     assert tree == json.loads((tmp_path / "report/compare.json").read_text(encoding="utf-8")) | {"provenance": tree["provenance"]}
+    made = tree["provenance"]
+    assert made["command"].startswith("bristle compare ")
+    assert made["second"]["command"].endswith("--set 'plant.parameters.b=0.00656 N.m/V'")
+    assert made["first"]["fmus_sha256"]["plant"] == made["second"]["fmus_sha256"]["plant"]
     for row in tree["signals"]:
         assert row["pass"] or row["share"] > 1 or row["why"]
 

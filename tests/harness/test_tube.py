@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bristle.harness.tube import SAFETY, Spread, Tube
+from bristle.harness.tube import SAFETY, SHIFT_SAFETY, Spread, Tube
 
 TIME = np.arange(0, 10, 1e-3)
 
@@ -44,7 +44,7 @@ def jump(at: float, size: float = 1.0) -> np.ndarray:
 def test_an_event_may_move_in_time_by_what_was_measured_and_not_in_value() -> None:
     tube = tube_of(jump(5.0), jump(5.002), jump(4.999))
     assert tube.shift == 2
-    assert inside(tube, jump(5.0 + SAFETY * 2e-3))
+    assert inside(tube, jump(5.0 + SHIFT_SAFETY * 2e-3))
     assert not inside(tube, jump(5.05))
     assert not inside(tube, jump(5.0, 1.01))
 

@@ -195,6 +195,28 @@ def test_a_unit_is_compiled_again_only_if_it_or_what_it_includes_changed(tmp_pat
     assert units() == (["a.c", "c.c"], 6.0)
 
 
+def test_a_toolchain_is_used_inside_its_context_only_and_is_part_of_what_names_a_library(tmp_path, monkeypatch):
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / "cache"))
+    sources = {"a.c": '__attribute__((visibility("default"))) double f(double x) { return FACTOR * x; }\n'}
+    usual = compiler.compiler_identity()
+
+    def value(name, *flags):
+        with compiler.compiled_with(compiler.Toolchain(name, flags=flags)):
+            assert compiler.compiler_identity() != usual
+            compiler.compile_shared(sources, tmp_path / f"{name}.so")
+        assert compiler.compiler_identity() == usual
+        f = ctypes.CDLL(str(tmp_path / f"{name}.so")).f
+        f.restype, f.argtypes = ctypes.c_double, [ctypes.c_double]
+        return f(3.0)
+
+    assert value("two", "-DFACTOR=2.0") == 6.0
+    assert value("three", "-DFACTOR=3.0") == 9.0  # not the unit that the cache holds already
+    with pytest.raises(BristleError, match="FACTOR"):
+        compiler.compile_shared(sources, tmp_path / "usual.so")
+    with compiler.compiled_with(compiler.Toolchain("other", ("no-such-compiler",))):
+        assert compiler.find_compiler() == ("no-such-compiler",)
+
+
 def test_a_compiler_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler -O3")
     compiler.find_compiler.cache_clear()
