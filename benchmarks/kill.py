@@ -150,11 +150,13 @@ class Place:
             os.environ["BRISTLE_CACHE"] = str(self.cache)
         work._swept.clear()  # as a new process begins
         sys.argv = ["bristle", *self.command.arguments]
+        code = 2
         try:
             cli.main()
         except SystemExit as done:
-            sys.stdout.flush()
-            os._exit(int(done.code or 0))
+            code = int(done.code or 0)
+        sys.stdout.flush()
+        os._exit(code)
 
     def end(self, started: tuple[int, int]) -> tuple[int, str]:
         """Wait for the end of a command; return its exit code and what it said."""

@@ -285,8 +285,11 @@ def build(
     from bristle.harness.catalogue import Choice, build_files
 
     choice = Choice(law, method, as_names("effects", effects), encoder, platforms)
-    fmi, kind = as_choice("fmi", fmi, FMI_VERSIONS), as_choice("kind", kind, KINDS)
-    return build_files({as_choice("part", part, PARTS): choice}, as_path("out", out), fmi=fmi, kind=kind)[0]
+    made = build_files(
+        {as_choice("part", part, PARTS): choice}, as_path("out", out),
+        fmi=as_choice("fmi", fmi, FMI_VERSIONS), kind=as_choice("kind", kind, KINDS),
+    )  # fmt: skip
+    return made[0]
 
 
 def diagnose(
