@@ -6,8 +6,9 @@ from html import escape
 
 import numpy as np
 
-from bristle.common.drawing import BLUE, GREY, PALE, RED, STYLE, new_figure, set_labels, set_title, svg, thin
+from bristle.common.drawing import ESTIMATE, FAILED, GREY, PALE, STYLE, new_figure, set_labels, set_title, svg
 from bristle.common.html import badge, figure, identifier, number, page, table, unit
+from bristle.common.time_plot import WIDE, extremes
 from bristle.harness.comparison import Comparison, QuantityVerdict, SignalCourse, SignalVerdict, counts, differences
 
 COURSE_SIZE = (8.6, 1.9)  # width and height of the figure of a signal [inch]
@@ -80,14 +81,14 @@ def _draw(each: SignalVerdict, course: SignalCourse) -> str:
         drawn = new_figure(*COURSE_SIZE)
         whole, near = drawn.subplots(1, 2, width_ratios=(2, 1))
         for ax, rows, title in (
-            (whole, np.union1d(thin(len(course.time)), [place]), each.name),
+            (whole, np.union1d(extremes(course.values, WIDE), [place]), each.name),
             (near, close, "around the worst point"),
         ):
             _plot(ax, course, rows)
             if each.time is not None and np.isfinite(course.values[place]):
-                ax.plot(course.time[place], course.values[place], "o", color=BLUE if each.passed else RED, markersize=5)
+                ax.plot(course.time[place], course.values[place], "o", color=ESTIMATE if each.passed else FAILED, markersize=5)
             elif each.time is not None:
-                ax.axvline(course.time[place], color=RED)
+                ax.axvline(course.time[place], color=FAILED)
             set_title(ax, title)
             set_labels(ax, "time, s")
         return svg(drawn, each.name)
@@ -97,4 +98,4 @@ def _plot(ax: object, course: SignalCourse, rows: np.ndarray[tuple[int], np.dtyp
     time = course.time[rows]
     bounds = [np.where(np.isfinite(each[rows]), each[rows], np.nan) for each in (course.lower, course.upper)]
     ax.fill_between(time, *bounds, color=PALE, linewidth=0.6, edgecolor=GREY)  # type: ignore[attr-defined]  # of matplotlib
-    ax.plot(time, course.values[rows], color=BLUE, linewidth=1.0)  # type: ignore[attr-defined]
+    ax.plot(time, course.values[rows], color=ESTIMATE, linewidth=1.0)  # type: ignore[attr-defined]
