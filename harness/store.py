@@ -149,9 +149,9 @@ class Store:
                 connection.register("files", dataset)
                 once = f"SELECT * EXCLUDE (_copy) FROM (SELECT *, {ROW_NUMBER} AS _copy FROM files) WHERE _copy = 1"
                 connection.execute(f"CREATE VIEW runs AS {once}")
-                found = connection.execute(sql)
-                if found.description is None:
-                    return [], []
+                found: Any = connection.execute(sql)
+                if found is None:
+                    raise BristleError("query: says nothing; write for example SELECT verdict, count(*) FROM runs GROUP BY 1")
                 return [str(column[0]) for column in found.description], found.fetchall()
         except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise BristleError(f"query: {_line(error)}") from None

