@@ -69,18 +69,15 @@ def by_fmpy(seed: int) -> None:
 
 def by_libcosim(package: str) -> None:
     """One run by libcosim over a package of the same FMUs; no signal is recorded."""
-    from libcosimpy.CosimExecution import CosimExecution
-    from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
-
-    log_output_level(CosimLogLevel.ERROR)
-    CosimExecution.from_ssp_file(ssp_path=package, step_size=1_000_000).step(STEPS)
+    execution: Any = import_module("libcosimpy.CosimExecution").CosimExecution
+    logging: Any = import_module("libcosimpy.CosimLogging")
+    logging.log_output_level(logging.CosimLogLevel.ERROR)
+    execution.from_ssp_file(ssp_path=package, step_size=1_000_000).step(STEPS)
 
 
 def by_ecos(package: str) -> None:
     """The same by Ecos."""
-    from ecospy import EcosSimulation
-
-    simulation = EcosSimulation(ssp_path=package, step_size=1e-3)
+    simulation: Any = import_module("ecospy").EcosSimulation(ssp_path=package, step_size=1e-3)
     simulation.init()
     simulation.step(STEPS)
 
@@ -139,11 +136,11 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
         for name, (_, work) in ways.items():
             seconds[name].append(timed(work))
     try:
-        from distributed import LocalCluster
+        local_cluster: Any = import_module("distributed").LocalCluster
     except ImportError:
         pass
     else:
-        with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        with local_cluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
             swept(sweep, some, Means(1, cluster.scheduler_address))  # its workers have imported then
             both: list[tuple[float, float]] = []
             for _ in range(ROUNDS):
