@@ -172,15 +172,15 @@ def test_a_changed_source_is_another_fmu(monkeypatch):
     module = importlib.import_module("bristle.fmus.build")  # the name in the package is the function
 
     def keys():
-        return {module._key("native", what, 2, None) for what in ("plant", "controller")}
+        return {module._key((), "native", what, 2, None) for what in ("plant", "controller")}
 
     before = keys()
     assert len(before) == 2
-    python = module._key("python", "plant", 2, None)
+    python = module._key((), "python", "plant", 2, None)
     monkeypatch.setattr(module, "compiler_identity", lambda: "another one")
     after = keys()
     assert not before & after
-    assert module._key("python", "plant", 2, None) == python  # made without a compiler
+    assert module._key((), "python", "plant", 2, None) == python  # made without a compiler
     monkeypatch.undo()
     original = Path.read_bytes
     monkeypatch.setattr(Path, "read_bytes", lambda self: original(self) + (b" " if self.name == "instance.c" else b""))
