@@ -74,14 +74,14 @@ def main() -> None:
     first = "it is enough" if tasks < 1 / write else "this breaks first"
     for line in (
         f"\n## A million runs on {WORKERS} workers of one core, on paper\n",
-        f"- {MANY / rate / 3600:.1f} hours of a core: {MANY / rate / WORKERS / 60:.1f} minutes if all workers are busy all the time.",
+        f"- {MANY / rate / 3600:.1f} hours of a core: {MANY / rate / WORKERS / 60:.1f} minutes if all workers are always busy.",
         f"- {chunks:.0f} chunks, one a worker, so the slowest decides when it ends; smaller ones would even that out.",
         f"- {size / found.runs * MANY / 1e6:.0f} MB in the store, in {chunks:.0f} files; looking through it for --resume takes "
         f"{scan / kept * MANY:.0f} s.",
-        f"- {tasks:.1f} tasks a second, of about {SCHEDULER:.0f} that a scheduler can hand out, with {tasks * message / 1e6:.1f} MB "
-        "of rows a second.",
-        f"- One process takes the rows and writes them, {1 / write:.0f} chunks a second: {first} ({100 * tasks * write:.0f} % busy; "
-        f"the limit would be {WORKERS / (tasks * write):.0f} workers).",
+        f"- {tasks:.1f} tasks a second, of about {SCHEDULER:.0f} that a scheduler can hand out, with "
+        f"{tasks * message / 1e6:.1f} MB of rows a second.",
+        f"- One process takes the rows and writes them, {1 / write:.0f} chunks a second: {first} "
+        f"({100 * tasks * write:.0f} % busy; the limit would be {WORKERS / (tasks * write):.0f} workers).",
         "- That process keeps the drawn values of all runs in memory, and with --resume the keys of those that are there: about",
         "  0.3 kB a run, 0.3 GB for a million.",
     ):
