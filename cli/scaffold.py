@@ -69,7 +69,7 @@ def write_package(kind: str, name: str, out: Path, schema: Mapping[str, object])
         f"{name}/README.md": _filled("README", words),
         f"{name}/{module}.py": _filled(kind, words),
         f"{name}/tests/test_{name}.py": _filled(f"test_{kind}", words),
-        f"{name}/scenario.toml": _filled("scenario", words),
+        f"{name}/{name}.toml": _filled("scenario", words),
         f"{name}/{SCHEMA_FILE}": _schema_text(schema),
     }
     return _write(out, written, name)

@@ -255,7 +255,7 @@ def read_baseline(folder: Path) -> Baseline:
             raise ValueError(shape)
         quantities = {path: Judged(**each) for path, each in tree["quantities"].items()}
         runs = tree["runs"]
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
         raise BristleError(f"{folder}: is no complete baseline; make it again with bristle accept") from None
     signals = Signals(
         rows, dict(zip(names, values, strict=True)), dict(zip(names, values - below, strict=True)),

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bristle.common.errors import BristleError, suggest
 from bristle.common.units import parse_unit
+from bristle.harness.scenario import keys_of
 from bristle.harness.values import SPECS, values_of
 
 Sampling = Literal["lhs", "sobol", "random"]
@@ -29,7 +30,7 @@ WRITTEN = f"{SPECS}, or a distribution such as uniform(a, b)"
 
 @dataclass(frozen=True)
 class Axis:
-    """A key of the scenario that varies: by its path, with values as overrides, or a distribution and the unit of its numbers."""
+    """A key of the scenario that varies: its path without quotes; values as overrides, or a distribution and its unit."""
 
     path: str
     overrides: tuple[str, ...] = ()
@@ -92,11 +93,11 @@ class Design:
         columns = [axis.drawn(shares) for axis, shares in zip(axes, self._shares().T, strict=True)]
         drawn = list(zip(*columns, strict=True)) or [()]
         listed = [axis.overrides for axis in self.axes if axis.overrides]
-        order = {axis.path: place for place, axis in enumerate(self.axes)}
+        order = [place for wanted in (True, False) for place, axis in enumerate(self.axes) if bool(axis.overrides) is wanted]
         count = itertools.count()
         for chosen in itertools.product(*listed):
             for row in drawn:
-                values = tuple(sorted([*chosen, *row], key=lambda value: order[value.partition("=")[0]]))
+                values = tuple(value for _, value in sorted(zip(order, (*chosen, *row), strict=True)))
                 for seed in self.seeds or (None,):
                     yield Point(next(count), values, seed)
 
@@ -153,10 +154,10 @@ def design(
         If that is no design, or has more than `MOST_RUNS` runs.
     """
     axes = tuple(map(axis_of, vary))
-    paths = [axis.path for axis in axes]
-    for path in paths:
-        if paths.count(path) > 1:
-            raise BristleError(f"vary '{path}': given twice; put all its values into one SPEC")
+    if samples is not None and samples < 1:
+        raise BristleError(f"samples {samples}: draw at least 1")
+    if sampling_seed < 0:
+        raise BristleError(f"sampling_seed {sampling_seed}: must be 0 or more")
     drawn = [axis.path for axis in axes if not axis.overrides]
     if drawn and samples is None:
         raise BristleError(f"vary '{drawn[0]}': a distribution; say with --samples N how many values are drawn")
@@ -187,8 +188,8 @@ def axis_of(given: str) -> Axis:
     found = DISTRIBUTION.fullmatch(spec)
     if not separator or not path or found is None:
         overrides = tuple(values_of(given, WRITTEN))
-        return Axis(overrides[0].partition("=")[0], overrides)
-    return Axis(path, (), _distribution(given, found[1], found[2]), found[3] or "")
+        return Axis(".".join(keys_of(overrides[0].partition("=")[0])), overrides)
+    return Axis(".".join(keys_of(path)), (), _distribution(given, found[1], found[2]), found[3] or "")
 
 
 def _distribution(given: str, name: str, arguments: str) -> Any:
@@ -209,6 +210,8 @@ def _distribution(given: str, name: str, arguments: str) -> Any:
         positional = [positional[0], positional[1] - positional[0]]  # its ends, which is how people write it
     allowed = [*shapes, "loc", *(["scale"] if isinstance(known, stats.rv_continuous) else [])]
     order = f"{name}({', '.join(shapes + list(rest)) or ', '.join(allowed)})"
+    if name == "uniform" and more != 2 and set(named) != {"loc", "scale"}:
+        raise BristleError(f"vary '{given}': uniform needs both its ends; write uniform(a, b)")
     if more > len(rest) or set(named) - set(allowed):
         raise BristleError(f"vary '{given}': its parameters are {', '.join(allowed)}; write for example {order}")
     values = dict(zip([*shapes, *rest], positional, strict=False)) | named

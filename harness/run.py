@@ -101,8 +101,16 @@ class Checked:
     simulate: Simulate = run_bus
 
 
-def check(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Checked:
+def check(
+    path: Path,
+    out: Path,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    refuse: Callable[[Path], None] = results.refuse_strange,
+) -> Checked:
     """Read and check a scenario and all that it names, building FMUs that are new; `execute` runs it.
+
+    `refuse` raises an error if the folder of the result may not be replaced.
 
     Raises
     ------
@@ -112,7 +120,7 @@ def check(path: Path, out: Path, options: Options | None = None, progress: Progr
     options, clock, tell = options or Options(), _Clock(), progress or _no_progress
     loaded = load(path, options.overrides, options.seed)
     with output_folder(out):
-        results.refuse_strange(out / loaded.name)
+        refuse(out / loaded.name)
         with clock.stage("FMUs (built only if new)"):
             tell("building FMUs", 0, 0)
             return check_loaded(loaded, find_fmus(loaded, options.fmi, options.kind), out, options, clock)

@@ -384,10 +384,15 @@ def _parse(text: str) -> Any:
         raise BristleError(f"override '{text}': {too_much(error)}") from None
 
 
+def keys_of(path: str) -> list[str]:
+    """Return the keys of a dotted path, of which one that has a dot itself is in quotes."""
+    return [quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|([^."]+)', path.strip())]
+
+
 def _override(tree: dict[str, Any], override: str) -> None:
     """Apply one ``path=value``; behind ``plant.parameters.`` everything is one structured name."""
     path, separator, text = override.partition("=")
-    keys = [quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|([^."]+)', path.strip())]
+    keys = keys_of(path)
     if not separator or not keys:
         raise BristleError(f"override '{override}': not path=value; write for example plant.parameters.J=0.002 kg.m2")
     if len(keys) > 2 and keys[0] in PARAMETER_PARTS and keys[1] == "parameters":

@@ -20,6 +20,7 @@ from bristle.common.errors import BristleError
 from bristle.common.toml import read_toml
 from bristle.harness.catalogue import find_scenario
 from bristle.harness.run import Options, check, run
+from bristle.harness.values import refuse_conflicts
 
 Told = Callable[[str, int, int], None]  # what was done last, how many are done, of how many
 
@@ -96,6 +97,7 @@ def find_cases(given: Sequence[Path], seeds: Sequence[int], values: Sequence[Seq
     BristleError
         If nothing is there to run, or two files have one name.
     """
+    refuse_conflicts([of_key[0] for of_key in values if of_key], seeds, ())
     paths = [path for each in given for path in _files(each)]
     names = [path.stem for path in paths]
     for path in paths:

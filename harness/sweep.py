@@ -9,6 +9,7 @@ import copy
 import hashlib
 import json
 import math
+import re
 import shlex
 import threading
 import time
@@ -38,6 +39,7 @@ from bristle.harness.plan import find_fmus
 from bristle.harness.run import Options, check_loaded, outcome
 from bristle.harness.scenario import Loaded, parse
 from bristle.harness.store import ERROR_VERDICT, Store, batches
+from bristle.harness.values import refuse_conflicts
 
 Rows = list[dict[str, Any]]
 Tell = Callable[[int, int], None]  # runs that are done, of how many
@@ -46,6 +48,7 @@ CHUNK_RUNS = 1000  # of a large sweep: what a kill loses at most
 CHUNKS_A_JOB = 8  # at least, of a small one, so that all jobs end at about the same time
 WAIT = 0.2  # s between two looks at what is done
 KEPT_NUMBERS = ("adapted", "innovation", "tracking_rms", "estimates", "states", "tracking", "validation")  # of result.json
+CLUSTER_ADDRESS = re.compile(r"[a-z]+://\S+:\d+")
 MOST_MISTAKES = 10  # lines about values that cannot be run
 
 
@@ -120,6 +123,7 @@ def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
     BristleError
         A line for each value that cannot be run.
     """
+    refuse_conflicts(design.asked, design.seeds, options.overrides)
     path = path.absolute()  # the working directory changes while FMUs are loaded
     text, _ = read_toml(path, "scenario file")
     empty = Sweep(path, text, design.axes, options, {}, "")
@@ -389,14 +393,16 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
     means = means or Means()
     if store.files() and not means.resume:
         raise BristleError(f"{store.path}: has runs already; add --resume to make those that are missing, or give another folder")
+    if means.jobs < 1:
+        raise BristleError(f"jobs {means.jobs}: give at least 1")
     begun, watcher = time.perf_counter(), Watcher()
-    store.describe(sweep.name, _described(sweep, design, means.command))
     done = store.done() if means.resume else set()
     kept = sum(sweep.key(point) in done for point in design.points()) if done else 0
     todo = (point for point in design.points() if sweep.key(point) not in done)
     total, verdicts = design.runs - kept, dict.fromkeys(("pass", "fail", ERROR_VERDICT), 0)
     tell = progress or (lambda _done, _total: None)
     with _executor(sweep, means, watcher) as (submit, workers):
+        store.describe(sweep.name, _described(sweep, design, means.command))
         size = max(1, min(CHUNK_RUNS, math.ceil(total / (workers * CHUNKS_A_JOB))))
         for rows in _finished(submit, batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)):
             store.add(rows)
@@ -447,6 +453,8 @@ def _executor(sweep: Sweep, means: Means, watcher: Watcher) -> Iterator[tuple[Ca
 
 
 def _client(address: str) -> Any:
+    if CLUSTER_ADDRESS.fullmatch(address) is None:
+        raise BristleError(f"cluster {address}: is no address of a Dask scheduler; write for example tcp://host:8786")
     try:
         client: Any = import_module("distributed").Client
     except ImportError:

@@ -123,7 +123,7 @@ def sweep(
     vary: Mapping[str, str | Sequence[object]] | None = None,
     out: PathLike = "store",
     *,
-    seeds: Iterable[int] = (),
+    seeds: Iterable[int] | str = (),
     samples: int | None = None,
     sampling: Literal["lhs", "sobol", "random"] = "lhs",
     sampling_seed: int = 0,
@@ -143,8 +143,8 @@ def sweep(
         such as ``"uniform(0.001, 0.002) kg.m2"``.
     out : path, optional
         Folder of the store; created if it is missing.
-    seeds : iterable of int, optional
-        Seeds of the controller's reference signal, each with all values.
+    seeds : iterable of int, or text, optional
+        Seeds of the controller's reference signal, each with all values; as text such as ``"1-12"``.
     samples : int, optional
         How many values are drawn from the distributions; required with them.
     sampling : {"lhs", "sobol", "random"}, optional
@@ -176,11 +176,20 @@ def sweep(
     from bristle.harness.run import Options
     from bristle.harness.store import Store
     from bristle.harness.sweep import Means, prepare_sweep, run_sweep
+    from bristle.harness.values import seeds_of
     from bristle.result import SweepResult
 
+    if not isinstance(vary or {}, Mapping):
+        raise BristleError(f'vary is a {type(vary).__name__}; give a dict such as {{"sensor": ["clean", "encoder"]}}')
+    for path, spec in (vary or {}).items():
+        if not isinstance(spec, str | Sequence):
+            raise BristleError(f"vary[{path!r}] is {spec!r}; give a list of values, or text such as 'uniform(1, 2)'")
+    if not isinstance(seeds, Iterable):
+        raise BristleError(f"seeds is {seeds!r}; give several, such as [1, 2], or text such as '1-12'")
     specs = _overrides({path: spec if isinstance(spec, str) else list(spec) for path, spec in (vary or {}).items()})
+    wanted = seeds_of(seeds) if isinstance(seeds, str) else [as_whole_number("seeds", seed) for seed in seeds]
     asked = design(
-        specs, [as_whole_number("seeds", seed) for seed in seeds], None if samples is None else as_whole_number("samples", samples),
+        specs, wanted, None if samples is None else as_whole_number("samples", samples),
         as_choice("sampling", sampling, SAMPLINGS), as_whole_number("sampling_seed", sampling_seed),
     )  # fmt: skip
     store = Store(as_path("out", out))

@@ -56,7 +56,7 @@ def accept(
         checked = []
         for path in scenarios:
             refuse_other(out / path.stem)
-            checked.append(check(find_scenario(path), out, options))
+            checked.append(check(find_scenario(path), out, options, refuse=refuse_other))
         for each in checked:
             loaded = each.setup.loaded
             with fraction(loaded.name) as tell:

@@ -48,7 +48,7 @@ def new(
     if name in _taken(SCAFFOLDS[kind.value].group):
         raise BristleError(f"name '{name}': bristle list has it already; choose another")
     write_package(kind.value, name, out, schema)
-    install, run = ["pip", "install", "-e", str(out / name)], ["bristle", "run", str(out / name / "scenario.toml"), "--out", "out"]
+    install, run = ["pip", "install", "-e", str(out / name)], ["bristle", "run", str(out / name / f"{name}.toml"), "--out", "out"]
     print(f"{out / name}  next: {shlex.join(install)}, then {shlex.join(run)}")
     return PASS
 

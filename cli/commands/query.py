@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import sys
 from decimal import Decimal
 from pathlib import Path
@@ -30,7 +31,8 @@ def query(
 
     names, rows = Store(store).query(sql)
     if csv_:
-        csv.writer(sys.stdout, lineterminator="\n").writerows([names, *rows])
+        kept = ([None if _nothing(value) else value for value in row] for row in rows)
+        csv.writer(sys.stdout, lineterminator="\n").writerows([names, *kept])
     else:
         print(_table(names, rows), flush=True)
     return PASS
@@ -48,7 +50,11 @@ def _table(names: list[str], rows: list[tuple[Any, ...]]) -> str:
     return "\n".join(lines)
 
 
+def _nothing(value: object) -> bool:
+    return value is None or (isinstance(value, float) and not math.isfinite(value))
+
+
 def _cell(value: object) -> str:
-    if value is None or value != value:  # not a number
+    if _nothing(value):
         return "-"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -91,5 +91,5 @@ def sweep(
         found = run_sweep(prepared, asked, store, means, show)
     counts = ", ".join(f"{count} {word}" for word, count in found.verdicts.items() if count or word == "pass")
     before = f", {found.kept} were there" if found.kept else ""
-    print(f"{found.runs} runs in {found.seconds:.1f} s: {counts}{before}  {out}", flush=True)
+    print(f"{found.runs} {'run' if found.runs == 1 else 'runs'} in {found.seconds:.1f} s: {counts}{before}  {out}", flush=True)
     return ERROR if found.verdicts["error"] else FAIL if found.verdicts["fail"] else PASS

@@ -83,3 +83,18 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(call: Call, case: Pa
     (tmp_path / "taken/case/notes.txt").write_text("mine", encoding="utf-8")
     assert "is no baseline of bristle" in line("accept", case, "--out", tmp_path / "taken")
     assert os.listdir(tmp_path / "taken/case") == ["notes.txt"]
+
+
+def test_a_baseline_is_renewed_but_no_run_takes_its_place(call: Call, case: Path, kept: Path) -> None:
+    code, _, err = call("accept", case, "--out", kept.parent)
+    assert (code, err) == (0, "")
+    code, _, err = call("run", case, "--out", kept.parent)
+    assert code == 2
+    assert "is no result folder of bristle" in err
+
+
+def test_an_empty_file_of_a_baseline_is_one_line(call: Call, kept: Path) -> None:
+    (kept / "signals.npz").write_bytes(b"")
+    code, _, err = call("compare", kept, kept)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "is no complete baseline; make it again with bristle accept" in err

@@ -51,14 +51,14 @@ def test_what_is_installed_is_listed(written, installed):
 @pytest.mark.parametrize("kind", list(NAMES))
 def test_a_new_package_passes_its_own_tests_of_which_its_scenario_is_one(written, installed, kind):
     said = run(written / NAMES[kind], "-m", "pytest", "-p", "no:cacheprovider", "-v", site=installed)
-    assert "scenario.toml::scenario PASSED" in said
+    assert f"{NAMES[kind]}.toml::{NAMES[kind]} PASSED" in said
     assert "FAILED" not in said
 
 
 @pytest.mark.slow
 def test_the_three_run_in_one_scenario_and_are_built(written, installed):
     scenario = written / "together.toml"
-    text = (written / "fresh_effect" / "scenario.toml").read_text(encoding="utf-8")
+    text = (written / "fresh_effect" / "fresh_effect.toml").read_text(encoding="utf-8")
     text = text.replace('law = "modified"', 'law = "fresh_law"').replace('method = "rls"', 'method = "fresh_observer"')
     scenario.write_text(text.replace('sensor = "encoder"', 'sensor = "clean"'), encoding="utf-8")
     out = run(written, "-m", "bristle", "run", "together.toml", "--out", "out", "--fmi", "3", site=installed)
@@ -117,7 +117,7 @@ def test_a_package_has_what_pip_and_a_reader_need(written):
         project = tomllib.loads((written / name / "pyproject.toml").read_text(encoding="utf-8"))
         [(group, points)] = project["project"]["entry-points"].items()
         assert (group, points) == (f"bristle.{kind}s", {name: f"bristle_{name}"})
-        texts = [f"bristle_{name}.py", "README.md", "pyproject.toml", "scenario.toml", f"tests/test_{name}.py"]
+        texts = [f"bristle_{name}.py", "README.md", "pyproject.toml", f"{name}.toml", f"tests/test_{name}.py"]
         for file in texts:  # filled in completely
             assert "$" not in (written / name / file).read_text(encoding="utf-8"), file
         assert {path.name for path in (written / name).iterdir()} >= {*texts[:4], "scenario.schema.json", "tests"}

@@ -43,6 +43,9 @@ def test_a_sweep_is_asked_and_reported(call, scenario, tmp_path):
 def test_a_query_prints_a_table_or_csv(call, scenario, tmp_path):
     pytest.importorskip("duckdb")
     call("sweep", scenario, "--vary", "sensor=[clean, encoder]", "--seeds", "3,5", "-j", "1", "--out", tmp_path / "store")
+    sql = "SELECT 'nan'::DOUBLE AS a, 'inf'::DOUBLE AS b"
+    assert call("query", tmp_path / "store", sql)[1].splitlines()[1].split() == ["-", "-"]
+    assert call("query", tmp_path / "store", sql, "--csv")[1] == "a,b\n,\n"
     sql = "SELECT sensor, seed, 0.5 AS half, message FROM runs ORDER BY sensor, seed LIMIT 2"
     code, text, _ = call("query", tmp_path / "store", sql)
     assert code == 0

@@ -278,3 +278,40 @@ def test_python_has_the_same(path: Path, tmp_path: Path) -> None:
     assert found.table["sensor"].to_pylist() == ["clean", "clean", "encoder", "encoder"]
     again = bristle.sweep(path, {"sensor": ["clean"]}, tmp_path / "store", seeds=[1, 2], resume=True)
     assert (again.verdicts["pass"], len(again.table)) == (2, 6)
+
+
+@pytest.mark.parametrize(
+    ("vary", "seeds", "overrides", "said"),
+    [
+        (["x=[1]", "x=[2]"], (), (), "given twice"),
+        (['plant.parameters."modified.c"=[1 1/rad]', "plant.parameters.modified.c=[2 1/rad]"], (), (), "given twice"),
+        (["controller.parameters.seed=[1, 2]"], (1,), (), "seeds are given as well"),
+        (["plant.parameters.J=[0.001 kg.m2]"], (), ("plant.parameters.J=0.002 kg.m2",), "is set for all runs as well"),
+    ],
+)
+def test_a_key_cannot_have_two_values(
+    path: Path, vary: list[str], seeds: tuple[int, ...], overrides: tuple[str, ...], said: str, message: Message
+) -> None:
+    assert said in message(lambda: prepare_sweep(path, design(vary, seeds), Options(overrides=overrides)))
+
+
+def test_a_column_is_named_without_quotes(path: Path, tmp_path: Path) -> None:
+    asked = design(['plant.parameters."modified.sigma0"=[600 1/s2, 700 1/s2]'])
+    store, _ = swept(path, tmp_path / "store", asked)
+    assert store.table()["plant.parameters.modified.sigma0"].to_pylist() == [600.0, 700.0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"jobs": 0}, "jobs 0"), ({"seeds": 3}, "seeds is 3"), ({"vary": {"sensor": 3}}, "vary['sensor'] is 3"),
+        ({"vary": ["sensor=[clean]"]}, "vary is a list"), ({"cluster": "foo", "seeds": [1]}, "no address of a Dask scheduler"),
+    ],
+)  # fmt: skip
+def test_python_says_what_is_wrong_and_leaves_nothing(
+    path: Path, tmp_path: Path, arguments: dict[str, Any], said: str, message: Message
+) -> None:
+    import bristle
+
+    assert said in message(lambda: bristle.sweep(path, out=tmp_path / "store", **arguments))
+    assert not (tmp_path / "store").exists()
