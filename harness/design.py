@@ -160,7 +160,7 @@ def design(
         raise BristleError(f"sampling_seed {sampling_seed}: must be 0 or more")
     drawn = [axis.path for axis in axes if not axis.overrides]
     if drawn and samples is None:
-        raise BristleError(f"vary '{drawn[0]}': a distribution; say with --samples N how many values are drawn")
+        raise BristleError(f"vary '{drawn[0]}': a distribution; give samples, the number of values that are drawn")
     if samples is not None and not drawn:
         raise BristleError(f"samples {samples}: no distribution to draw from; leave it out, or vary by one such as uniform(a, b)")
     if samples is not None and sampling == "sobol" and samples & (samples - 1):

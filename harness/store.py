@@ -54,7 +54,7 @@ class Store:
     def require(self) -> None:
         """Raise `BristleError` if it holds no run."""
         if not self.files():
-            raise BristleError(f"{self.path}: no store, or one without runs; make one with bristle sweep SCENARIO --out FOLDER")
+            raise BristleError(f"{self.path}: no store, or one without runs; make one with bristle sweep")
 
     def files(self) -> list[Path]:
         """Return the files of runs."""
@@ -91,7 +91,7 @@ class Store:
 
     def _full(self, error: OSError) -> BristleError:
         return BristleError(
-            f"store {self.path}: {error.strerror or error}; make room, then go on with --resume (finished chunks are kept)"
+            f"store {self.path}: {error.strerror or error}; make room, then resume the sweep (finished chunks are kept)"
         )
 
     def done(self) -> set[str]:
@@ -116,14 +116,14 @@ class Store:
             schema = pa.unify_schemas(schemas, promote_options="permissive")
             return pyarrow.dataset.dataset([str(path) for path in self.files()], schema=schema, format="parquet")
         except (OSError, pa.ArrowException) as error:
-            raise BristleError(f"store {self.path}: {_line(error)}; run the sweep again with --resume, which repairs it") from None
+            raise BristleError(f"store {self.path}: {_line(error)}; resume the sweep, which repairs it") from None
 
     def table(self) -> pa.Table:
         """Return the runs, each once, in the order of their places in their sweeps."""
         try:
             found = self.dataset().to_table()
         except (OSError, pa.ArrowException) as error:
-            raise BristleError(f"store {self.path}: {_line(error)}; run the sweep again with --resume, which repairs it") from None
+            raise BristleError(f"store {self.path}: {_line(error)}; resume the sweep, which repairs it") from None
         errors = [verdict == ERROR_VERDICT for verdict in found["verdict"].to_pylist()]
         chosen: dict[str, int] = {}
         for row, key in enumerate(found["key"].to_pylist()):

@@ -392,7 +392,7 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
     """
     means = means or Means()
     if store.files() and not means.resume:
-        raise BristleError(f"{store.path}: has runs already; add --resume to make those that are missing, or give another folder")
+        raise BristleError(f"{store.path}: has runs already; resume it to make those that are missing, or give another folder")
     if means.jobs < 1:
         raise BristleError(f"jobs {means.jobs}: give at least 1")
     begun, watcher = time.perf_counter(), Watcher()

@@ -32,7 +32,7 @@ def test_a_sweep_is_asked_and_reported(call, scenario, tmp_path):
     assert ": 16 pass  " in text
     code, text, err = call("sweep", scenario, *vary, "--samples", "4", "--out", store)
     assert (code, text) == (2, "")
-    assert "has runs already; add --resume" in err
+    assert "has runs already; resume it" in err
     code, text, _ = call("sweep", scenario, *vary, "--samples", "4", "--seeds", "1-3", "-j", "2", "--out", store, "--resume")
     assert ": 8 pass, 16 were there" in text
     code, text, _ = call("report", store, "--out", out)

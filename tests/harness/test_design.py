@@ -89,7 +89,7 @@ def test_a_column_has_numbers_in_si_units_or_text() -> None:
         (["x=norm(1, -2)"], {"samples": 4}, "no values for these parameters"),
         (["x=norm(1, spread=2)"], {"samples": 4}, "its parameters are loc, scale"),
         (["x=norm(__import__('os').system('true'), 1)"], {"samples": 4}, "must be plain numbers"),
-        (["x=uniform(1, 2)"], {}, "--samples N"),
+        (["x=uniform(1, 2)"], {}, "give samples"),
         (["x=[1, 2]"], {"samples": 4}, "no distribution to draw from"),
         (["x=uniform(1, 2)"], {"samples": 100, "sampling": "sobol"}, "write 64 or 128"),
         (["x=uniform(1)"], {"samples": 4}, "needs both its ends"),

@@ -64,7 +64,7 @@ def test_a_full_disk_leaves_what_was_there(store: Store, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(os, "fsync", full)
     line = message(lambda: store.add([row("9")]))
-    assert "No space left on device; make room, then go on with --resume" in line
+    assert "No space left on device; make room, then resume the sweep" in line
     assert sorted(os.listdir(store.path / "runs")) == before
 
 

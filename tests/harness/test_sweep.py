@@ -97,7 +97,7 @@ def test_a_resumed_sweep_makes_what_is_missing_and_nothing_else(path: Path, tmp_
     lost = store.files()[1]
     missing = pq.read_metadata(lost).num_rows
     lost.unlink()
-    assert "add --resume" in message(lambda: swept(path, tmp_path / "store", asked))
+    assert "resume it" in message(lambda: swept(path, tmp_path / "store", asked))
     _, found = swept(path, tmp_path / "store", asked, resume=True)
     assert (found.runs, found.kept) == (missing, 16 - missing)
     assert table(store).equals(whole)
