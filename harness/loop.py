@@ -109,8 +109,14 @@ class Trace:
 
     def flag(self, port: Port) -> Array:
         """Return a flag for each row: what was read next, at that row or after it."""
-        found = np.array([each.get(port, np.nan) for _, each in self.flags], dtype=float)
-        return np.repeat(found, self._looked)
+        readings = self._readings.get(port)
+        return np.full(len(self.values), np.nan) if readings is None else np.repeat(readings, self._looked)
+
+    @cached_property
+    def _readings(self) -> dict[Port, Array]:
+        """Return what was read of each flag, in the order of time."""
+        columns = np.array([list(found.values()) for _, found in self.flags], dtype=float)
+        return dict(zip(self.flags[-1][1], columns.T, strict=True))  # all readings have the same flags in the same order
 
     @cached_property
     def _looked(self) -> NDArray[np.int64]:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -186,9 +187,14 @@ def element_distances(fmu: Fmu, given: Mapping[str, Value]) -> dict[str, float]:
 
     A single c1 is a gain.
     """
+    return {short: float(given[name] if name in given else fmu.start(name)) for short, name in _distances(fmu).items()}
+
+
+@lru_cache(maxsize=64)
+def _distances(fmu: Fmu) -> dict[str, str]:
+    """Return the names of these parameters by their last parts."""
     several = [name for name in fmu.names("parameter") if fmu.has(re.sub(r"\.c\d+$", ".c2", name), "parameter")]
-    found = {name.rpartition(".")[2]: name for name in several if re.search(r"\.c\d+$", name)}
-    return {short: float(given.get(name, fmu.start(name))) for short, name in found.items()}
+    return {name.rpartition(".")[2]: name for name in several if re.search(r"\.c\d+$", name)}
 
 
 def of_same_elements(true: Mapping[str, Array], plant: Mapping[str, float], observer: Mapping[str, float]) -> dict[str, Array]:
