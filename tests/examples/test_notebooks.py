@@ -15,7 +15,7 @@ FOLDER = ROOT / "examples"
 SAID = {  # what the outputs of each must hold
     "first_run": ["quick: pass", "('pass', 0.5)", "report.html True", "<th>alpha2</th>", "image/png"],
     "diagnosis": ["dead_zone", "augmented.toml", "(named)"],
-    "outside_observer": ["bristle_gradient", "scenario: pass", "AdaptiveObserver_gradient.fmu", "gamma = 0.2"],
+    "outside_observer": ["bristle_gradient", "gradient: pass", "AdaptiveObserver_gradient.fmu", "gamma = 0.2"],
 }
 
 
