@@ -119,7 +119,11 @@ def test_one_that_takes_all_memory_harms_itself_alone(faulty: Callable[[str], Bu
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (3 << 30, hard))  # the limit of the user is kept where it is lower
+    own = (
+        int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    )  # which other tests have used
+    limit = max(3 << 30, own + (1 << 28))
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))  # the limit of the user is kept where it is lower
     try:
         trace = simulate_isolated(faulty("memory"), timeout=60.0)
     finally:
