@@ -65,6 +65,12 @@ def complain(error: BaseException, debug: bool) -> None:
     say(explain(error))
 
 
+def complain_each(error: BristleError, debug: bool) -> None:
+    """Print an error that has a line for each mistake."""
+    for mistake in str(error).splitlines():
+        complain(BristleError(mistake), debug)
+
+
 def command_line() -> str:
     """Return the command that repeats this call."""
     return shlex.join(["bristle", *sys.argv[1:]])

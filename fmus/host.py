@@ -142,6 +142,11 @@ class Fmu:
         with zipfile.ZipFile(self.path) as archive:
             return "python" if any(re.fullmatch(r"resources/[^/]+\.py", name) for name in archive.namelist()) else "native"
 
+    @property
+    def risky(self) -> bool:
+        """Whether its library may harm the process that loads it: somebody else's, or pythonfmu's."""
+        return self.foreign or self.kind == "python"
+
     def names(self, causality: str) -> list[str]:
         """Return the names of all variables of a causality."""
         return [name for name, v in self.variables.items() if v.causality == causality]

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -42,7 +43,7 @@ class Axis:
         unit = f" {self.unit}" if self.unit else ""
         return [f"{self.path}={value!r}{unit}" for value in np.asarray(self.distribution.ppf(shares), dtype=float).tolist()]
 
-    @property
+    @cached_property
     def numeric(self) -> bool:
         """Whether its values are numbers of one dimension."""
         dimensions = {_dimension(each) for each in self.overrides}
@@ -201,17 +202,18 @@ def _distribution(given: str, name: str, arguments: str) -> Any:
         names = sorted(each for each in dir(stats) if isinstance(getattr(stats, each), stats.rv_continuous | stats.rv_discrete))
         raise BristleError(f"vary '{given}': scipy.stats has no distribution '{name}'{suggest(name, names)}")
     positional, named = _arguments(given, name, arguments)
+    if name == "uniform":
+        if len(positional) != 2 and set(named) != {"loc", "scale"}:
+            raise BristleError(f"vary '{given}': uniform needs both its ends; write uniform(a, b)")
+        if len(positional) == 2:
+            positional = [positional[0], positional[1] - positional[0]]  # its ends, which is how people write it
     shapes = [] if known.shapes is None else [each.strip() for each in known.shapes.split(",")]
     more = len(positional) - len(shapes)
     rest = {0: (), 1: ("scale",), 2: ("loc", "scale")}.get(more, ())
     if isinstance(known, stats.rv_discrete):
         rest = {1: ("loc",)}.get(more, ())
-    if name == "uniform" and more == 2:
-        positional = [positional[0], positional[1] - positional[0]]  # its ends, which is how people write it
     allowed = [*shapes, "loc", *(["scale"] if isinstance(known, stats.rv_continuous) else [])]
     order = f"{name}({', '.join(shapes + list(rest)) or ', '.join(allowed)})"
-    if name == "uniform" and more != 2 and set(named) != {"loc", "scale"}:
-        raise BristleError(f"vary '{given}': uniform needs both its ends; write uniform(a, b)")
     if more > len(rest) or set(named) - set(allowed):
         raise BristleError(f"vary '{given}': its parameters are {', '.join(allowed)}; write for example {order}")
     values = dict(zip([*shapes, *rest], positional, strict=False)) | named

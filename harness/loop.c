@@ -75,14 +75,19 @@ static int set_flag(const Unit *u, int place)
                        : ((SetFlag2)u->set_flag)(u->instance, &u->in_vr[place], 1, &two);
 }
 
-static int get_flag(const Unit *u, int place, double *out)
+static int get_flag(const Unit *u, unsigned vr, double *out)
 {
     bool three = false;
     int two = 0;
-    const int status = u->fmi == 3 ? ((GetFlag3)u->get_flag)(u->instance, &u->out_vr[place], 1, &three, 1)
-                                   : ((GetFlag2)u->get_flag)(u->instance, &u->out_vr[place], 1, &two);
+    const int status = u->fmi == 3 ? ((GetFlag3)u->get_flag)(u->instance, &vr, 1, &three, 1)
+                                   : ((GetFlag2)u->get_flag)(u->instance, &vr, 1, &two);
     *out = three || two;
     return status;
+}
+
+static int get_numbers(const Unit *u, const unsigned *vr, size_t n, double *out)
+{
+    return u->fmi == 3 ? ((Get3)u->get)(u->instance, vr, n, out, n) : ((Get2)u->get)(u->instance, vr, n, out);
 }
 
 static int unit_set(const Unit *u)
@@ -98,10 +103,8 @@ static int unit_set(const Unit *u)
 static int unit_get(const Unit *u, double *out)
 {
     int status = OK;
-    if (u->n_out > 0)
-        status = u->fmi == 3 ? ((Get3)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out, (size_t)u->n_out)
-                             : ((Get2)u->get)(u->instance, u->out_vr, (size_t)u->n_out, out);
-    for (int i = 0; i < u->n_out_flags && status <= WARNING; i++) status = get_flag(u, u->n_out + i, &out[u->n_out + i]);
+    if (u->n_out > 0) status = get_numbers(u, u->out_vr, (size_t)u->n_out, out);
+    for (int i = u->n_out; i < u->n_out + u->n_out_flags && status <= WARNING; i++) status = get_flag(u, u->out_vr[i], &out[i]);
     return status;
 }
 
@@ -162,17 +165,7 @@ static int step_all(Master *m, double time, double h)
 
 static int read_flag(const Flag *f, double *out)
 {
-    const Unit *u = f->unit;
-    int status;
-    if (f->boolean) {
-        bool three = false;
-        int two = 0;
-        status = u->fmi == 3 ? ((GetFlag3)u->get_flag)(u->instance, &f->vr, 1, &three, 1)
-                             : ((GetFlag2)u->get_flag)(u->instance, &f->vr, 1, &two);
-        *out = three || two;
-        return status;
-    }
-    status = u->fmi == 3 ? ((Get3)u->get)(u->instance, &f->vr, 1, out, 1) : ((Get2)u->get)(u->instance, &f->vr, 1, out);
+    const int status = f->boolean ? get_flag(f->unit, f->vr, out) : get_numbers(f->unit, &f->vr, 1, out);
     *out *= f->factor;
     return status;
 }

@@ -76,8 +76,8 @@ class Bus:
 
     @property
     def risky(self) -> bool:
-        """Whether an FMU takes part whose library may harm its process: somebody else's, or pythonfmu's."""
-        return any(instance.fmu.foreign or instance.fmu.kind == "python" for instance in self.instances)
+        """Whether an FMU takes part whose library may harm its process."""
+        return any(instance.fmu.risky for instance in self.instances)
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ class Slaves:
 
     def give_back(self, slave: Slave, sound: bool) -> None:
         """Keep a loaded FMU for the next run, or free it."""
-        if sound and not slave.fmu.foreign and slave.fmu.kind == "native":
+        if sound and not slave.fmu.risky:
             self._kept[slave.name, slave.fmu.path] = slave
         else:
             slave.close()

@@ -115,7 +115,7 @@ def _is_moved(setup: Setup, unit: str, name: str) -> bool:
 
 def _compiled(setup: Setup) -> bool:
     """Say whether an FMU takes part that this machine compiles."""
-    return any(not fmu.foreign and fmu.kind == "native" for fmu in setup.fmus.values())
+    return any(not fmu.risky for fmu in setup.fmus.values())
 
 
 def toolchains() -> list[Toolchain]:
@@ -157,7 +157,7 @@ def built(setup: Setup, toolchain: Toolchain) -> Setup:
     fmus = dict(setup.fmus)
     with compiled_with(toolchain):
         for unit, fmu in setup.fmus.items():
-            if not fmu.foreign and fmu.kind == "native":
+            if not fmu.risky:
                 part = getattr(setup.scenario, unit)
                 choice = {key: getattr(part, key) for key in (SELECTOR_PARAMETERS.get(unit),) if key is not None}
                 effects = {"effects": part.effects} if unit == "plant" else {}

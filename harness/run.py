@@ -375,15 +375,21 @@ def _provenance(checked: Checked) -> dict[str, Any]:
     seed = None
     if controller is not None and controller.has("seed", "parameter"):
         seed = int(setup.values["controller"].get("seed", controller.start("seed")))
-    words = ["bristle", "run", str(loaded.path), "--out", str(checked.out), "--kind", options.kind, "--fmi", str(options.fmi)]
+    sha256 = hashlib.sha256(loaded.text.encode()).hexdigest()
+    return {**provenance(), "scenario_sha256": sha256, "seed": seed, "command": command_of(loaded.path, options, checked.out)}
+
+
+def command_of(path: Path, options: Options, out: Path | None = None) -> str:
+    """Return the command that runs a scenario with these options."""
+    words = ["bristle", "run", str(path), *([] if out is None else ["--out", str(out)])]
+    words += ["--kind", options.kind, "--fmi", str(options.fmi)]
     for override in options.overrides:
         words += ["--set", override]
     if options.seed is not None:
         words += ["--seed", str(options.seed)]
     if options.full:
         words.append("--full")
-    sha256 = hashlib.sha256(loaded.text.encode()).hexdigest()
-    return {**provenance(), "scenario_sha256": sha256, "seed": seed, "command": shlex.join(words)}
+    return shlex.join(words)
 
 
 def _judge(result: dict[str, Any], setup: Setup) -> list[str]:

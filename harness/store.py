@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from bristle.common.work import TemporaryFolder
 
 SWEEPS, RUNS = "sweeps", "runs"  # folders of a store
 ERROR_VERDICT = "error"
-ROW_NUMBER = "row_number() OVER (PARTITION BY key ORDER BY verdict = 'error')"
+ROW_NUMBER = f"row_number() OVER (PARTITION BY key ORDER BY verdict = '{ERROR_VERDICT}')"
 
 
 class Store:
@@ -94,13 +94,15 @@ class Store:
             f"store {self.path}: {error.strerror or error}; make room, then resume the sweep (finished chunks are kept)"
         )
 
+    def _damaged(self, error: Exception) -> BristleError:
+        return BristleError(f"store {self.path}: {_line(error)}; resume the sweep, which repairs it")
+
     def done(self) -> set[str]:
         """Return the keys of the runs that have a verdict; a file that is damaged is removed, and its runs count as not done."""
         keys: set[str] = set()
         for path in self.files():
             try:
-                found = pq.read_table(path, columns=["key", "verdict"], page_checksum_verification=True)
-                pq.read_table(path, page_checksum_verification=True)
+                found = pq.read_table(path, page_checksum_verification=True)  # all of it, so that all is verified
             except (OSError, pa.ArrowException):
                 path.unlink(missing_ok=True)
                 continue
@@ -116,14 +118,14 @@ class Store:
             schema = pa.unify_schemas(schemas, promote_options="permissive")
             return pyarrow.dataset.dataset([str(path) for path in self.files()], schema=schema, format="parquet")
         except (OSError, pa.ArrowException) as error:
-            raise BristleError(f"store {self.path}: {_line(error)}; resume the sweep, which repairs it") from None
+            raise self._damaged(error) from None
 
     def table(self) -> pa.Table:
         """Return the runs, each once, in the order of their places in their sweeps."""
         try:
             found = self.dataset().to_table()
         except (OSError, pa.ArrowException) as error:
-            raise BristleError(f"store {self.path}: {_line(error)}; resume the sweep, which repairs it") from None
+            raise self._damaged(error) from None
         errors = [verdict == ERROR_VERDICT for verdict in found["verdict"].to_pylist()]
         chosen: dict[str, int] = {}
         for row, key in enumerate(found["key"].to_pylist()):
@@ -177,9 +179,3 @@ def _kind(values: Sequence[object]) -> pa.DataType:
 
 def _line(error: BaseException) -> str:
     return " ".join(str(error).split())[:300]
-
-
-def batches(items: Iterator[Any], size: int) -> Iterator[list[Any]]:
-    """Give the items in lists of a size, the last one shorter."""
-    while batch := list(itertools.islice(items, size)):
-        yield batch

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import itertools
 import json
 import math
 import re
-import shlex
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -36,9 +37,9 @@ from bristle.fmus.isolate import isolated
 from bristle.harness.design import Axis, Design, Point
 from bristle.harness.loop import Bus, Slaves, Trace, simulate
 from bristle.harness.plan import find_fmus
-from bristle.harness.run import Options, check_loaded, outcome
+from bristle.harness.run import Options, check_loaded, command_of, outcome
 from bristle.harness.scenario import Loaded, parse
-from bristle.harness.store import ERROR_VERDICT, Store, batches
+from bristle.harness.store import ERROR_VERDICT, Store
 from bristle.harness.values import refuse_conflicts
 
 Rows = list[dict[str, Any]]
@@ -71,7 +72,7 @@ class Sweep:
     name : str
         Hash of what is asked for: of the above, the values and the seeds.
     files : mapping of str to bytes
-        FMUs and records by their path, where the runs are made on another machine.
+        The FMUs by their path, where the runs are made on another machine.
     """
 
     path: Path
@@ -89,16 +90,18 @@ class Sweep:
 
     def command(self, point: Point) -> str:
         """Return the command that repeats one run alone."""
-        options, words = self.options, ["bristle", "run", str(self.path)]
-        for each in (*options.overrides, *point.overrides):
-            words += ["--set", each]
-        words += ["--kind", options.kind, "--fmi", str(options.fmi)]
-        return shlex.join([*words, *([] if point.seed is None else ["--seed", str(point.seed)])])
+        overrides = (*self.options.overrides, *point.overrides)
+        return command_of(self.path, replace(self.options, overrides=overrides, seed=point.seed))
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the scenario file."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
-    def risky(self) -> bool:
-        """Whether an FMU takes part that may harm the process it runs in."""
-        return any(fmu.foreign or fmu.kind == "python" for each in self.fmus.values() for fmu in each.values())
+    def all_fmus(self) -> list[Fmu]:
+        """All FMUs that may take part; one may be there several times."""
+        return [fmu for each in self.fmus.values() for fmu in each.values()]
 
 
 @dataclass
@@ -160,8 +163,6 @@ def load_point(sweep: Sweep, point: Point) -> Loaded:
 
 @cache
 def _tree(text: str) -> dict[str, Any]:
-    import tomllib
-
     return tomllib.loads(text)
 
 
@@ -213,7 +214,7 @@ def run_chunk(sweep: Sweep, points: Sequence[Point], watcher: Watcher | None = N
     """
     watcher = watcher or Watcher()
     here = _unpacked(sweep)
-    if not here.risky:
+    if not any(fmu.risky for fmu in here.all_fmus):
         return _rows(here, points, watcher.control(), watcher)
     return _isolated_rows(here, points, watcher)
 
@@ -223,7 +224,7 @@ def _isolated_rows(sweep: Sweep, points: Sequence[Point], watcher: Watcher) -> R
         if watcher.stopped:
             raise BristleError("stopped")
 
-    paths = sorted({fmu.path for each in sweep.fmus.values() for fmu in each.values()})
+    paths = sorted({fmu.path for fmu in sweep.all_fmus})
     limit = None if sweep.options.timeout is None else sweep.options.timeout * len(points)
     try:
         rows: Rows = isolated(_rows_in_child, (sweep, list(points)), paths, list, look, limit)
@@ -269,25 +270,22 @@ def _run(sweep: Sweep, point: Point, run: Callable[..., Trace]) -> dict[str, Any
     except BristleError as error:
         return row | {"verdict": ERROR_VERDICT, "message": str(error), "wall_s": time.perf_counter() - begun}
     failed = [check["name"] for check in found["checks"] if not check["pass"]]
-    row |= {
+    verdict = {
         "verdict": found["verdict"], "message": found["diverged"]["message"] if "diverged" in found else "",
         "failed": "; ".join(failed), "checks": len(found["checks"]), "checks_passed": len(found["checks"]) - len(failed),
         "steps": found["steps"], "wall_s": time.perf_counter() - begun,
     }  # fmt: skip
     hashes = {f"sha256.{name}": fmu["sha256"] for name, fmu in found["fmus"].items()}
-    return row | hashes | _numbers({name: found[name] for name in KEPT_NUMBERS if name in found}) | _values(sweep, point)
+    numbers = _numbers({name: found[name] for name in KEPT_NUMBERS if name in found})
+    return row | verdict | hashes | {name: value for name, value in numbers.items() if name not in row}  # as given, if it varies
 
 
 def _row(sweep: Sweep, point: Point) -> dict[str, Any]:
     """Return what is known of a run before it is made."""
     return {
         "key": sweep.key(point), "sweep": sweep.name, "run": point.index, "scenario": sweep.path.stem,
-        "scenario_sha256": hashlib.sha256(sweep.text.encode()).hexdigest(), "seed": point.seed, "command": sweep.command(point),
-    } | _values(sweep, point)  # fmt: skip
-
-
-def _values(sweep: Sweep, point: Point) -> dict[str, Any]:
-    return {axis.path: axis.value(each) for axis, each in zip(sweep.axes, point.overrides, strict=True)}
+        "scenario_sha256": sweep.sha256, "seed": point.seed, "command": sweep.command(point),
+    } | {axis.path: axis.value(each) for axis, each in zip(sweep.axes, point.overrides, strict=True)}  # fmt: skip
 
 
 def _numbers(tree: Mapping[str, Any], before: str = "") -> dict[str, float | bool | None]:
@@ -310,8 +308,7 @@ def _numbers(tree: Mapping[str, Any], before: str = "") -> dict[str, float | boo
 
 def packed(sweep: Sweep) -> Sweep:
     """Return a sweep with its files, for a machine that does not have them."""
-    paths = {fmu.path for each in sweep.fmus.values() for fmu in each.values()}
-    return replace(sweep, files={str(path): path.read_bytes() for path in paths})
+    return replace(sweep, files={str(path): path.read_bytes() for path in {fmu.path for fmu in sweep.all_fmus}})
 
 
 def _unpacked(sweep: Sweep) -> Sweep:
@@ -404,13 +401,19 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
     with _executor(sweep, means, watcher) as (submit, workers):
         store.describe(sweep.name, _described(sweep, design, means.command))
         size = max(1, min(CHUNK_RUNS, math.ceil(total / (workers * CHUNKS_A_JOB))))
-        for rows in _finished(submit, batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)):
+        for rows in _finished(submit, _batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)):
             store.add(rows)
             for row in rows:
                 verdicts[row["verdict"]] += 1
             watcher.done = max(watcher.done, sum(verdicts.values()))
     tell(total, total)
     return Summary(verdicts, kept, time.perf_counter() - begun)
+
+
+def _batches(points: Iterator[Point], size: int) -> Iterator[list[Point]]:
+    """Give the points in lists of a size, the last one shorter."""
+    while batch := list(itertools.islice(points, size)):
+        yield batch
 
 
 def _finished(
@@ -467,9 +470,9 @@ def _client(address: str) -> Any:
 
 
 def _described(sweep: Sweep, design: Design, command: str) -> dict[str, Any]:
-    fmus = {f"{fmu.path.name} {fmu.sha256}": None for each in sweep.fmus.values() for fmu in each.values()}
+    fmus = dict.fromkeys(f"{fmu.path.name} {fmu.sha256}" for fmu in sweep.all_fmus)
     return {
-        "scenario": sweep.path.stem, "scenario_sha256": hashlib.sha256(sweep.text.encode()).hexdigest(), "text": sweep.text,
+        "scenario": sweep.path.stem, "scenario_sha256": sweep.sha256, "text": sweep.text,
         "vary": {axis.path: "numbers in SI units" if axis.numeric else "text" for axis in sweep.axes},
         "runs": design.runs, "seeds": list(design.seeds), "samples": design.samples, "sampling": design.sampling,
         "sampling_seed": design.sampling_seed, "options": plain(vars(sweep.options)), "fmus": list(fmus),

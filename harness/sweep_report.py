@@ -42,11 +42,10 @@ class Share:
     @property
     def interval(self) -> tuple[float, float]:
         """Bounds of the share at `CONFIDENCE`."""
-        from scipy.stats import beta
+        from scipy.stats import binomtest
 
-        rest, k, n = (1 - CONFIDENCE) / 2, self.count, self.total
-        low = 0.0 if k == 0 else float(beta.ppf(rest, k, n - k + 1))
-        return low, 1.0 if k == n else float(beta.ppf(1 - rest, k + 1, n - k))
+        found = binomtest(self.count, self.total).proportion_ci(CONFIDENCE, "exact")
+        return float(found.low), float(found.high)
 
     def text(self) -> str:
         """Return the share with its interval in percent."""

@@ -25,11 +25,11 @@ from bristle.cli.app import (
     app,
     path_of,
 )
-from bristle.cli.terminal import command_line, complain, fraction
+from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
 
-class Drawing(StrEnum):
+class Sampling(StrEnum):
     """How values are drawn from distributions: Latin hypercube, Sobol' points, or independently."""
 
     lhs = "lhs"
@@ -49,7 +49,7 @@ def sweep(
         typer.Option(help="values of a key: a:b:n, [v1, v2], or a distribution such as uniform(a, b)", metavar="PATH=SPEC"),
     ] = None,
     samples: Annotated[int | None, typer.Option(help="how many are drawn from the distributions", min=1, metavar="N")] = None,
-    sampling: Annotated[Drawing, typer.Option(help="how they are drawn")] = Drawing.lhs,
+    sampling: Annotated[Sampling, typer.Option(help="how they are drawn")] = Sampling.lhs,
     sampling_seed: Annotated[int, typer.Option(help="seed of the drawing", min=0, max=2**32 - 1, metavar="N")] = 0,
     seeds: Annotated[str | None, typer.Option(help="seeds of the reference: 1-200 or 1,4,7-9", metavar="SEEDS")] = None,
     set_: SetOption = None,
@@ -76,8 +76,7 @@ def sweep(
         options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
         prepared = prepare_sweep(find_scenario(scenario), asked, options)
     except BristleError as error:
-        for mistake in str(error).splitlines():
-            complain(BristleError(mistake), debug)
+        complain_each(error, debug)
         return ERROR
     begun = time.monotonic()
     with output_folder(out), fraction("sweep") as tell:

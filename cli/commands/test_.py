@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, SetOption, TimeoutOption, app, path_of
-from bristle.cli.terminal import command_line, complain, fraction
+from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
 if TYPE_CHECKING:
@@ -57,8 +57,7 @@ def suite(
             with fraction("test") as tell:
                 tested = run_suite(cases, out, options, jobs or os.cpu_count() or 1, lambda name, done, of: tell(name, done / of))
         except BristleError as error:
-            for mistake in str(error).splitlines():
-                complain(BristleError(mistake), debug)
+            complain_each(error, debug)
             raise typer.Exit(ERROR) from None
         origin = {**provenance(), "command": command_line()}
         tree = to_json(to_tree(tested, origin)).encode()
