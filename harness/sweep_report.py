@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import ESTIMATE, FAILED, GREY, STYLE, new_figure, set_labels, set_title, svg
-from bristle.common.html import badge, figure, identifier, number, page, table
+from bristle.common.html import badge, figure, identifier, number, page, table, tally
 from bristle.harness.store import ERROR_VERDICT, Store
 
 Array = NDArray[np.float64]
@@ -140,7 +140,7 @@ def summary(runs: Runs) -> dict[str, Any]:
 def render(runs: Runs) -> str:
     """Return report.html."""
     share = runs.share()
-    head = badge("good" if share.count == share.total else "bad", f"{share.count} of {share.total} runs pass")
+    head = tally(share.count, share.total, "runs pass")
     low, high = share.interval
     note = (
         f"{100 * share.count / share.total:.1f} % pass; 95 % interval {100 * low:.1f} to {100 * high:.1f} % (Clopper and Pearson), "
