@@ -17,27 +17,35 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ratios import judge
 
+from bristle.fmus.calls import CONTROL_SIZE
 from bristle.harness.catalogue import find_scenario
 from bristle.harness.design import Design, design
 from bristle.harness.kit import export
-from bristle.harness.loop import Slaves, simulate
+from bristle.harness.loop import Bus, Slaves, simulate
 from bristle.harness.plan import find_fmus, identification, prepare
 from bristle.harness.run import Options
 from bristle.harness.scenario import load
 from bristle.harness.store import Store
 from bristle.harness.sweep import Means, Sweep, load_point, prepare_sweep, run_chunk, run_sweep
+from bristle.harness.together import Together
 
 ROUNDS = 3
 FEW = 24  # runs of the slow ways
 STEPS = 20_000  # of a run
+OWN_WAYS = 7  # of `measure`, with FMPy's, the last of them
+LANES_SCENARIOS = ("quick", "disturbed", "encoder_two_step", "self_starting", "compensation", "load_change", "lugre_original")
+LANES_LENGTH = ["duration=20 s"]
+LANES_ROUNDS = 5
 VARY = "plant.parameters.J=uniform(0.0008, 0.0012) kg.m2"
 
 
@@ -47,13 +55,35 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - begun
 
 
-def simulations_alone(sweep: Sweep, asked: Design) -> None:
-    """The compiled loop of each run, without store, verdicts and numbers."""
+def buses_of(sweep: Sweep, asked: Design) -> list[Bus]:
+    fmus = next(iter(sweep.fmus.values()))
+    return [identification(prepare(load_point(sweep, point), fmus)) for point in asked.points()]
+
+
+def by_fmus(buses: Sequence[Bus]) -> None:
+    """The compiled loop over FMUs, without store, verdicts and numbers."""
     with Slaves() as slaves:
-        for point in asked.points():
-            loaded = load_point(sweep, point)
-            fmus = next(iter(sweep.fmus.values()))
-            simulate(identification(prepare(loaded, fmus)), slaves=slaves)
+        for bus in buses:
+            simulate(bus, slaves=slaves)
+
+
+def by_lanes(buses: Sequence[Bus], together: Together) -> None:
+    """The same over their programs in lanes."""
+    for begin in range(0, len(buses), together.width):
+        together.run(buses[begin : begin + together.width], np.zeros(CONTROL_SIZE, dtype=np.int64))
+
+
+def lanes_over_fmus(name: str) -> tuple[float, float, float]:
+    """Return ms a run by FMUs and in lanes, and the median ratio, of one scenario with other inertias and seeds."""
+    setups = []
+    for k in range(8):
+        loaded = load(find_scenario(Path(name)), [f"plant.parameters.J={8e-4 + 5e-5 * k} kg.m2", *LANES_LENGTH], k + 1)
+        setups.append(prepare(loaded, find_fmus(loaded)))
+    buses, together = [identification(setup) for setup in setups], Together(setups[0])
+    by_lanes(buses, together)
+    both = [(timed(lambda: by_fmus(buses)), timed(lambda: by_lanes(buses, together))) for _ in range(LANES_ROUNDS)]
+    fmus, lanes = (1e3 * statistics.median(each) / len(buses) for each in zip(*both, strict=True))
+    return fmus, lanes, statistics.median(one / other for one, other in both)
 
 
 def swept(sweep: Sweep, asked: Design, means: Means) -> None:
@@ -119,16 +149,20 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
     few = max(FEW, runs // 10)
     path, options = find_scenario(Path("quick")), Options()
     asked, some = (design([VARY], samples=count) for count in (runs, few))
-    sweep = prepare_sweep(path, asked, options)
+    sweep = replace(prepare_sweep(path, asked, options), lanes=True)
+    loaded = load_point(sweep, next(some.points()))
+    buses, together = buses_of(sweep, some), Together(prepare(loaded, find_fmus(loaded)))
     ways: dict[str, tuple[int, Callable[[], Any]]] = {
-        "loop alone, one thread": (few, lambda: simulations_alone(sweep, some)),
-        "chunk without store, one thread": (few, lambda: run_chunk(sweep, list(some.points()))),
+        "loop over FMUs alone, one thread": (few, lambda: by_fmus(buses)),
+        "loop in lanes alone, one thread": (few, lambda: by_lanes(buses, together)),
+        "chunk without store, FMUs, one thread": (few, lambda: run_chunk(replace(sweep, lanes=False), list(some.points()))),
+        "chunk without store, lanes, one thread": (few, lambda: run_chunk(sweep, list(some.points()))),
         "`bristle sweep -j 1`": (few, lambda: swept(sweep, some, Means(1))),
         "`bristle sweep -j 2`": (runs, lambda: swept(sweep, asked, Means(2))),
         "FMPy's calls, pool of 2 processes": (FEW, partial(pooled, pool, by_fmpy, range(1, FEW + 1))),
     }
     ways |= other_importers(pool, str(export(path, kit)))
-    for name in list(ways)[4:]:
+    for name in list(ways)[OWN_WAYS - 1 :]:
         ways[name][1]()  # the processes have imported then
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     cluster_rate = None
@@ -147,7 +181,8 @@ def measure(pool: ProcessPoolExecutor, kit: Path) -> int:
                 there = timed(lambda: swept(sweep, asked, Means(1, cluster.scheduler_address)))
                 both.append((there, timed(lambda: swept(sweep, asked, Means(2)))))
             cluster_rate = statistics.median(here / there for there, here in both)
-    return 0 if judge("sweep", report(ways, seconds, runs, cluster_rate, size_of(sweep, asked)), given.accept) else 1
+    lanes = {name: lanes_over_fmus(name) for name in LANES_SCENARIOS}
+    return 0 if judge("sweep", report(ways, seconds, runs, cluster_rate, size_of(sweep, asked), lanes), given.accept) else 1
 
 
 def size_of(sweep: Sweep, asked: Design) -> tuple[int, int]:
@@ -164,9 +199,10 @@ def report(
     runs: int,
     cluster_rate: float | None,
     size: tuple[int, int],
+    lanes: dict[str, tuple[float, float, float]],
 ) -> dict[str, float]:
     per_run = {name: statistics.median(seconds[name]) / ways[name][0] for name in ways}
-    loop, chunk, one, two, fmpy = list(per_run.values())[:5]
+    loop, _, chunk_fmus, chunk, one, two, fmpy = list(per_run.values())[:OWN_WAYS]
     print("# What a sweep costs\n")
     print("`python benchmarks/sweep.py > benchmarks/results/sweep.md`: runs of scenario `quick` (20 s at 1 ms) on this machine's")
     print(f"2 cores, {ROUNDS} rounds in turn; the median, and the range, of the rounds.\n")
@@ -175,15 +211,21 @@ def report(
         print(f"| {name} | {count} | {rate_of(count, seconds[name])} |")
     print("\n| figure | value | goal |\n|---|---|---|")
     print(f"| parallel efficiency of 2 threads over {runs} runs | {one / (2 * two):.2f} | >= 0.9 |")
-    print(f"| store, verdicts and numbers over the loop alone, one thread | {100 * (one / loop - 1):.0f} % | <= 15 % |")
-    print(f"| of these the store | {100 * (one - chunk) / loop:.0f} % | |")
+    print(f"| verdicts and numbers over the loop over FMUs, one thread | {100 * (chunk_fmus / loop - 1):.0f} % | |")
+    print(f"| with the store | {100 * ((chunk_fmus + one - chunk) / loop - 1):.0f} % | <= 15 % |")
+    print(f"| a sweep's time, one thread, over that of the loop over FMUs alone | {one / loop:.2f} | |")
     print(f"| sweep over FMPy's calls in a pool of as many processes | {fmpy / two:.0f} times | >= 10 times |")
     if cluster_rate is not None:
         print(f"| Dask LocalCluster of 2 workers over 2 threads, runs a second | {cluster_rate:.2f} | >= 0.85 |")
     print(f"| bytes a run in the store, {size[1]} files | {size[0] / runs:.0f} | |")
     print(f"| largest memory of the process | {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB | bounded |")
-    found = {"2 threads / 1 thread, runs a second": one / two, "loop alone / sweep, one thread, time": loop / one}
-    for name, spent in list(per_run.items())[4:]:
+    print("\nLanes step several runs at once, with the digits of the FMUs. Of 8 runs, the loop alone, one thread:\n")
+    print("| scenario | FMUs, ms a run | lanes, ms a run | ratio (goal >= 3) |\n|---|---|---|---|")
+    for name, (fmus, wide, ratio) in lanes.items():
+        print(f"| {name} | {fmus:.1f} | {wide:.1f} | {ratio:.2f} |")
+    found = {"2 threads / 1 thread, runs a second": one / two, "loop over FMUs / sweep, one thread, time": loop / one}
+    found |= {f"FMUs / lanes, {name}, time": ratio for name, (_, _, ratio) in lanes.items()}
+    for name, spent in list(per_run.items())[OWN_WAYS - 1 :]:
         found[f"{name} / sweep of 2 threads, time"] = spent / two
     return found | ({} if cluster_rate is None else {"cluster / 2 threads, runs a second": cluster_rate})
 

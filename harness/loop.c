@@ -42,13 +42,14 @@ typedef struct {
     const Event *events;            /* sorted by step */
     double *const *series_to;       /* row k of series is put on the bus at step k */
     const double *series;
-    const double *const *taps;      /* row k of record is the bus at the start of step k, times factors */
+    const double *const *taps;      /* row k of record is the bus at the start of step k, times factors; one lane after another */
     const double *factors;
     const long long *mean;          /* not 0: what is kept is the mean over the communication steps of a row; NULL: of none */
     double *record;
     volatile long long *control;    /* [0] steps done, [1] not 0: stop, [3] unit at work */
     long long next_event;
     long long n_units, n_links, n_events, n_series, n_taps;
+    long long n_lanes;              /* runs in step, each with its own taps and its own block of the record */
     long long split, sequential;    /* communication steps a row; Gauss-Seidel in the order of the units */
     double h;                       /* time between two rows */
     double start;                   /* time of row 0 */
@@ -57,6 +58,7 @@ typedef struct {
     double *looks;                  /* a row of flags each look, the first at the start */
     long long *look_rows;           /* at which row of the record that was */
     const long long *watched;       /* taps whose values must stay below `huge` */
+    long long *diverged_lanes;      /* NULL: a value beyond it ends the run; otherwise it marks its lane */
     double huge;
     long long n_flags, n_watched, n_looks;
     long long every, steps;         /* rows between two looks, and in all: the last look is at the last row */
@@ -119,11 +121,15 @@ static int unit_step(const Unit *u, double time, double h)
 
 static void write_row(const Master *m, long long row)
 {
-    double *out = m->record + row * m->n_taps;
-    for (long long i = 0; i < m->n_taps; i++)
-        if (!m->mean || !m->mean[i]) out[i] = *m->taps[i] * m->factors[i];
+    for (long long lane = 0; lane < m->n_lanes; lane++) {
+        double *out = m->record + (lane * (m->steps + 1) + row) * m->n_taps;
+        const double *const *taps = m->taps + lane * m->n_taps;
+        for (long long i = 0; i < m->n_taps; i++)
+            if (!m->mean || !m->mean[i]) out[i] = *taps[i] * m->factors[i];
+    }
 }
 
+/* Of one lane. */
 static void add_means(const Master *m, long long row)
 {
     double *out = m->record + row * m->n_taps;
@@ -181,16 +187,23 @@ static int look(Master *m, long long row)
     return OK;
 }
 
-/* Whether a watched value of the rows that were not seen yet, up to `row`, is beyond all bounds. */
+/* Whether a watched value of the rows that were not seen yet, up to `row`, is beyond all bounds, and so ends the run. */
 static bool diverged(Master *m, long long row)
 {
     for (; m->seen < row; m->seen++)
-        for (long long i = 0; i < m->n_watched; i++)
-            if (fabs(m->record[(m->seen + 1) * m->n_taps + m->watched[i]]) > m->huge) {
+        for (long long lane = 0; lane < m->n_lanes; lane++) {
+            const double *seen = m->record + (lane * (m->steps + 1) + m->seen + 1) * m->n_taps;
+            for (long long i = 0; i < m->n_watched; i++) {
+                if (!(fabs(seen[m->watched[i]]) > m->huge)) continue;
+                if (m->diverged_lanes) {
+                    m->diverged_lanes[lane] = 1;
+                    continue;
+                }
                 m->diverged_row = m->seen + 1;
                 m->diverged_tap = m->watched[i];
                 return true;
             }
+        }
     return false;
 }
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bristle.common.cache import cached, digest
 from bristle.common.errors import BristleError
-from bristle.fmus.calls import CONTROL_SIZE, WATCH, Call
+from bristle.fmus.calls import CONTROL_SIZE, WATCH, Call, Control
 from bristle.fmus.host import Fmu, Slave, Value
 from bristle.model.compiler import FLAGS, SUFFIX, compile_shared, compiler_identity
 
@@ -144,7 +144,9 @@ class Trace:
         return np.asarray(self.start + np.arange(len(self.values)) * self.h)
 
 
-class _Unit(ctypes.Structure):
+class Unit(ctypes.Structure):
+    """What the compiled loop needs to know of a unit."""
+
     _fields_ = [
         ("instance", ctypes.c_void_p),
         *((name, ctypes.c_void_p) for name in ("set", "get", "set_flag", "get_flag", "step")),
@@ -171,10 +173,12 @@ class _Master(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("units", "links", "events", "series_to", "series")),
         *((name, ctypes.c_void_p) for name in ("taps", "factors", "mean", "record", "control")),
         *((name, ctypes.c_longlong) for name in ("next_event", "n_units", "n_links", "n_events", "n_series", "n_taps")),
+        ("n_lanes", ctypes.c_longlong),
         ("split", ctypes.c_longlong), ("sequential", ctypes.c_longlong),
         ("h", ctypes.c_double), ("start", ctypes.c_double),
         *((name, ctypes.c_longlong) for name in ("failed_unit", "failed_status", "failed_call")),
-        *((name, ctypes.c_void_p) for name in ("flags", "looks", "look_rows", "watched")), ("huge", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("flags", "looks", "look_rows", "watched", "diverged_lanes")),
+        ("huge", ctypes.c_double),
         *((name, ctypes.c_longlong) for name in ("n_flags", "n_watched", "n_looks", "every", "steps", "seen")),
         ("diverged_row", ctypes.c_longlong), ("diverged_tap", ctypes.c_longlong),
     ]  # fmt: skip
@@ -203,7 +207,8 @@ def native_available() -> bool:
     return True
 
 
-def _pointer(array: NDArray[Any]) -> int:
+def pointer(array: NDArray[Any]) -> int:
+    """Return the address of an array's first element."""
     return int(array.ctypes.data)
 
 
@@ -220,15 +225,15 @@ class Node:
         self.input = np.array([fmu.start(name) / fmu.factor(name) for name in self.inputs], dtype=float)
         self.output = np.zeros(len(self.outputs))
 
-    def structure(self) -> _Unit:
+    def structure(self) -> Unit:
         """Return what the compiled loop needs to know."""
         three, address = self.slave.fmu.fmi == 3, self.slave.address
         prefix, number = ("fmi3", "Float64") if three else ("fmi2", "Real")
         names = [f"{prefix}{each}" for each in (f"Set{number}", f"Get{number}", "SetBoolean", "GetBoolean", "DoStep")]
-        arrays = map(_pointer, (self.in_vr, self.out_vr, self.input, self.output))
+        arrays = map(pointer, (self.in_vr, self.out_vr, self.input, self.output))
         component = ctypes.cast(self.slave.instance.component, ctypes.c_void_p)
         flags = [len(whole) - numbers for whole, numbers in zip((self.inputs, self.outputs), self.numbers, strict=True)]
-        return _Unit(component, *map(address, names), 3 if three else 2, *self.numbers, *flags, *arrays)
+        return Unit(component, *map(address, names), 3 if three else 2, *self.numbers, *flags, *arrays)
 
     def place(self, name: str) -> tuple[Array, int]:
         """Return the array that holds a variable, and its index in it."""
@@ -306,6 +311,103 @@ class Slaves:
         self.close()
 
 
+@dataclass(frozen=True)
+class Memory:
+    """Where the compiled loop finds units and variables; of a port and a lane.
+
+    Attributes
+    ----------
+    units : array of Unit
+        In the order of the bus.
+    address : function
+        Where the variable is.
+    worth : function
+        How much one of its number is on the bus; of a port alone.
+    flag : function
+        Unit, value reference and whether it is a Boolean, of what is read now and then.
+    values : ndarray, shape (lanes, steps + 1, recorded ports)
+        What the loop records.
+    """
+
+    units: ctypes.Array[Unit]
+    address: Callable[[Port, int], int]
+    worth: Callable[[Port], float]
+    flag: Callable[[Port, int], tuple[int, int, int]]
+    values: Array
+
+
+class Compiled:
+    """The compiled loop over one bus, or over several that are alike, in lanes; `means`: what is averaged over a row."""
+
+    def __init__(self, buses: Sequence[Bus], memory: Memory, control: Control, means: NDArray[np.int64] | None = None) -> None:
+        bus, place, worth = buses[0], memory.address, memory.worth
+        lanes, names = range(len(buses)), [instance.name for instance in bus.instances]
+        links = [
+            _Link(place(a, k), place(b, k), worth(a) / worth(b), names.index(b[0])) for k in lanes for a, b in bus.links
+        ]  # fmt: skip
+        events = sorted(
+            (step, k, n, _Event(step, place(to, k), value / worth(to)))
+            for k in lanes
+            for n, (step, to, value) in enumerate(buses[k].events)
+        )
+        driven = [values / worth(port) for each in buses for port, values in each.series.items()]
+        flags = [self._flag(memory, port, k) for k in lanes for port in bus.flags]
+        watched = [i for i, (unit, _) in enumerate(bus.record) if unit in bus.watch]
+        self.bus, self.control, self._width, self._memory = bus, control, len(bus.flags), memory
+        self._links, self._events = (_Link * len(links))(*links), (_Event * len(events))(*(each for *_, each in events))
+        self._flags, self._means = (_Flag * len(flags))(*flags), means
+        self._series = np.ascontiguousarray(np.column_stack(driven) if driven else np.empty((0, 0)))
+        self._series_to = np.array([place(port, k) for k in lanes for port in bus.series], dtype=np.uintp)
+        self._taps = np.array([place(port, k) for k in lanes for port in bus.record], dtype=np.uintp)
+        self._factors = np.array([worth(port) for port in bus.record], dtype=float)
+        self._looks = np.zeros((bus.steps // bus.chunk + 2, len(flags)))
+        self._look_rows = np.zeros(len(self._looks), dtype=np.int64)
+        self._watched = np.array(watched, dtype=np.int64)
+        self._diverged = np.zeros(len(lanes), dtype=np.int64)
+        self.master = _Master(
+            ctypes.addressof(memory.units), ctypes.addressof(self._links), ctypes.addressof(self._events),
+            pointer(self._series_to), pointer(self._series), pointer(self._taps), pointer(self._factors),
+            None if means is None else pointer(means), pointer(memory.values), pointer(control),
+            0, len(names), len(links), len(events), len(self._series_to), len(bus.record), len(lanes),
+            bus.split, bus.sequential, bus.h, bus.start, -1, 0, 0,
+            ctypes.addressof(self._flags), pointer(self._looks), pointer(self._look_rows), pointer(self._watched),
+            pointer(self._diverged) if len(lanes) > 1 else None, HUGE,
+            len(flags), len(watched), 0, bus.chunk, bus.steps, 0, -1, 0,
+        )  # fmt: skip
+
+    @staticmethod
+    def _flag(memory: Memory, port: Port, lane: int) -> _Flag:
+        unit, reference, boolean = memory.flag(port, lane)
+        return _Flag(ctypes.addressof(memory.units[unit]), reference, boolean, memory.worth(port))
+
+    def run(self, progress: Progress | None = None) -> int:
+        """Run all steps, or up to a failure; return how many rows were done."""
+        bus, lib, master = self.bus, library(), self.master
+        lib.loop_start(ctypes.byref(master))
+        done, stride = 0, bus.chunk
+        while done < bus.steps and master.failed_unit < 0 and master.diverged_row < 0 and not self.control[1]:
+            count, begun = min(stride, bus.steps - done), perf_counter()
+            self.control[2] = Call.step
+            done += lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
+            if progress:
+                progress(done)
+            if perf_counter() - begun < SHORT_CALL:
+                stride *= 2
+        self.control[2] = Call.none
+        return done
+
+    def diverged(self, lane: int) -> bool:
+        """Say whether a watched value of one of several lanes went beyond `HUGE`."""
+        return bool(self._diverged[lane])
+
+    def flags(self, lane: int) -> list[tuple[int, dict[Port, float]]]:
+        """Return what was read of the flags of a lane: row and values."""
+        n = self.master.n_looks
+        found = self._looks[:n, lane * self._width : (lane + 1) * self._width].tolist()
+        rows = self._look_rows[:n].tolist()
+        return [(row, dict(zip(self.bus.flags, each, strict=True))) for row, each in zip(rows, found, strict=True)]
+
+
 class Session:
     """A bus with its FMUs loaded and initialised; a context manager. `slaves` keeps them loaded for the next session."""
 
@@ -336,9 +438,9 @@ class Session:
     def _read_flags(self) -> dict[Port, float]:
         return {(unit, name): self.nodes[unit].slave.get_value(name) for unit, name in self.bus.flags}
 
-    def _address(self, port: Port) -> int:
+    def _address(self, port: Port, _lane: int = 0) -> int:
         array, index = self.nodes[port[0]].place(port[1])
-        return _pointer(array) + 8 * index
+        return pointer(array) + 8 * index
 
     def _worth(self, port: Port) -> float:
         """Return how much one of the FMU's number is on the bus."""
@@ -361,48 +463,13 @@ class Session:
 
     def run(self, progress: Progress | None = None) -> Trace:
         """Run all steps in the compiled loop, in several calls, so that Python can look after the user between them."""
-        bus, lib, names = self.bus, library(), list(self.nodes)
-        units = (_Unit * len(names))(*(node.structure() for node in self.nodes.values()))
-        links = (_Link * len(bus.links))(
-            *(_Link(self._address(a), self._address(b), self._worth(a) / self._worth(b), names.index(b[0])) for a, b in bus.links)
-        )
-        events = (_Event * len(bus.events))(
-            *(_Event(step, self._address(to), value / self._worth(to)) for step, to, value in bus.events)
-        )
-        driven = [values / self._worth(port) for port, values in bus.series.items()]
-        series = np.ascontiguousarray(np.column_stack(driven) if driven else np.empty((0, 0)))
-        series_to = np.array([self._address(port) for port in bus.series], dtype=np.uintp)
-        taps = np.array([self._address(port) for port in bus.record], dtype=np.uintp)
-        factors = np.array([self._worth(port) for port in bus.record], dtype=float)
-        averaged = self.averaged.astype(np.int64)
-        means = _pointer(averaged) if averaged.any() else None
-        flags = (_Flag * len(bus.flags))(*(self._flag(port, units) for port in bus.flags))
-        looks = np.zeros((bus.steps // bus.chunk + 2, len(bus.flags)))
-        look_rows = np.zeros(len(looks), dtype=np.int64)
-        watched = np.array([i for i, (unit, _) in enumerate(bus.record) if unit in bus.watch], dtype=np.int64)
-        master = _Master(
-            ctypes.addressof(units), ctypes.addressof(links), ctypes.addressof(events), _pointer(series_to), _pointer(series),
-            _pointer(taps), _pointer(factors), means, _pointer(self.values), _pointer(self.control),
-            0, len(units), len(links), len(events), len(series_to), len(taps),
-            bus.split, bus.sequential, bus.h, bus.start, -1, 0, 0,
-            ctypes.addressof(flags), _pointer(looks), _pointer(look_rows), _pointer(watched), HUGE,
-            len(flags), len(watched), 0, bus.chunk, bus.steps, 0, -1, 0,
-        )  # fmt: skip
-        lib.loop_start(ctypes.byref(master))
-        done, stride = 0, bus.chunk
-        while done < bus.steps and master.failed_unit < 0 and master.diverged_row < 0 and not self.control[1]:
-            count, begun = min(stride, bus.steps - done), perf_counter()
-            self.control[2] = Call.step
-            done += lib.loop_run(ctypes.byref(master), ctypes.c_longlong(done), ctypes.c_longlong(count))
-            if progress:
-                progress(done)
-            if perf_counter() - begun < SHORT_CALL:
-                stride *= 2
-        self.control[2] = Call.none
-        self.flags = [
-            (row, dict(zip(bus.flags, found, strict=True)))
-            for row, found in zip(look_rows[: master.n_looks].tolist(), looks.tolist(), strict=False)
-        ]
+        bus, names = self.bus, list(self.nodes)
+        units = (Unit * len(names))(*(node.structure() for node in self.nodes.values()))
+        means = self.averaged.astype(np.int64) if self.averaged.any() else None
+        memory = Memory(units, self._address, self._worth, self._flag, self.values[None])
+        compiled = Compiled([bus], memory, self.control, means)
+        done, master = compiled.run(progress), compiled.master
+        self.flags = compiled.flags(0)
         if master.diverged_row >= 0:
             early = self._beyond(master.diverged_row, master.diverged_tap)
             return self._trace(early.time - bus.start, early)
@@ -412,11 +479,11 @@ class Session:
         why = f"{CALLED[master.failed_call]} returned {status}"
         return self._trace(done * bus.h, self._blame(names[master.failed_unit], done * bus.h, why))
 
-    def _flag(self, port: Port, units: Any) -> _Flag:
-        """Return where a flag is read."""
+    def _flag(self, port: Port, _lane: int) -> tuple[int, int, int]:
+        """Return where a flag is read: unit, value reference, whether it is a Boolean."""
         unit, name = port
-        fmu, place = self.nodes[unit].slave.fmu, list(self.nodes).index(unit)
-        return _Flag(ctypes.addressof(units[place]), fmu.reference(name), not fmu.is_real(name), fmu.factor(name))
+        fmu = self.nodes[unit].slave.fmu
+        return list(self.nodes).index(unit), fmu.reference(name), int(not fmu.is_real(name))
 
     # -- FMPy's calls ------------------------------------------------------------------------------------------------
 
@@ -588,9 +655,9 @@ class Drive:
         out = np.empty((len(sets), len(series) + 1, len(self._node.outputs)))
         library().loop_drive(
             ctypes.byref(self._unit), ctypes.byref(self._lifecycle), ctypes.c_longlong(len(series)), ctypes.c_double(h),
-            ctypes.c_void_p(_pointer(series)), ctypes.c_longlong(len(sets)), ctypes.c_longlong(len(self._vr)),
-            ctypes.c_void_p(_pointer(self._vr)), ctypes.c_void_p(_pointer(sets)), ctypes.c_void_p(_pointer(out)),
-            ctypes.c_void_p(_pointer(self.control)),
+            ctypes.c_void_p(pointer(series)), ctypes.c_longlong(len(sets)), ctypes.c_longlong(len(self._vr)),
+            ctypes.c_void_p(pointer(self._vr)), ctypes.c_void_p(pointer(sets)), ctypes.c_void_p(pointer(out)),
+            ctypes.c_void_p(pointer(self.control)),
         )  # fmt: skip
         return out
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -37,9 +37,10 @@ from bristle.fmus.isolate import isolated
 from bristle.harness.design import Axis, Design, Point
 from bristle.harness.loop import Bus, Slaves, Trace, simulate
 from bristle.harness.plan import find_fmus
-from bristle.harness.run import Options, check_loaded, command_of, outcome
+from bristle.harness.run import Checked, Options, Simulate, check_loaded, command_of, outcome
 from bristle.harness.scenario import Loaded, parse
 from bristle.harness.store import ERROR_VERDICT, Store
+from bristle.harness.together import RUNS_WORTH_IT, Together, alike
 from bristle.harness.values import refuse_conflicts
 
 Rows = list[dict[str, Any]]
@@ -50,6 +51,7 @@ CHUNKS_A_JOB = 8  # at least, of a small one, so that all jobs end at about the 
 WAIT = 0.2  # s between two looks at what is done
 KEPT_NUMBERS = ("adapted", "innovation", "tracking_rms", "estimates", "states", "tracking", "validation")  # of result.json
 CLUSTER_ADDRESS = re.compile(r"[a-z]+://\S+:\d+")
+WINDOW = 64  # runs that are read and checked before they are simulated
 MOST_MISTAKES = 10  # lines about values that cannot be run
 
 
@@ -73,6 +75,8 @@ class Sweep:
         Hash of what is asked for: of the above, the values and the seeds.
     files : mapping of str to bytes
         The FMUs by their path, where the runs are made on another machine.
+    lanes : bool
+        Simulate several runs in step where that can be: the same digits in less time, but for what it takes to begin.
     """
 
     path: Path
@@ -83,6 +87,7 @@ class Sweep:
     identity: str
     name: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict)
+    lanes: bool = False
 
     def key(self, point: Point) -> str:
         """Return the hash of all that decides the result of a run."""
@@ -152,7 +157,7 @@ def prepare_sweep(path: Path, design: Design, options: Options) -> Sweep:
     version = provenance()["version"]
     identity = digest(version, text, repr((options.fmi, options.kind, tuple(options.overrides))), *sorted(hashes))
     asked = repr((design.asked, design.seeds, design.samples, design.sampling, design.sampling_seed))
-    return replace(empty, fmus=found, identity=identity, name=digest(identity, asked)[:24])
+    return replace(empty, fmus=found, identity=identity, name=digest(identity, asked)[:24], lanes=design.runs >= RUNS_WORTH_IT)
 
 
 def load_point(sweep: Sweep, point: Point) -> Loaded:
@@ -237,7 +242,7 @@ def _isolated_rows(sweep: Sweep, points: Sequence[Point], watcher: Watcher) -> R
             half = len(points) // 2
             return [*_isolated_rows(sweep, points[:half], watcher), *_isolated_rows(sweep, points[half:], watcher)]
         watcher.done += 1
-        return [_row(sweep, points[0]) | {"verdict": ERROR_VERDICT, "message": str(error)}]
+        return [_row(sweep, points[0]) | _error(error)]
 
 
 def _rows_in_child(asked: tuple[Sweep, list[Point]], control: Control) -> Rows:
@@ -245,30 +250,110 @@ def _rows_in_child(asked: tuple[Sweep, list[Point]], control: Control) -> Rows:
 
 
 def _rows(sweep: Sweep, points: Sequence[Point], control: Control, watcher: Watcher) -> Rows:
-    rows: Rows = []
+    rows: dict[int, dict[str, Any]] = {}
     with Slaves() as slaves:
-
-        def run(bus: Bus, _progress: object = None, _timeout: object = None) -> Trace:
-            return simulate(bus, control=control, slaves=slaves)
-
-        for point in points:
-            row = _run(sweep, point, run)
+        for run, simulate_run in _Simulation(sweep, control, slaves).each(points):
+            row = _judged(run, simulate_run)
             if watcher.stopped:
                 break
-            rows.append(row)
+            rows[run.point.index] = row
             watcher.done += 1
-    return rows
+    return [rows[index] for index in sorted(rows)]
 
 
-def _run(sweep: Sweep, point: Point, run: Callable[..., Trace]) -> dict[str, Any]:
-    """Make one run."""
+@dataclass
+class _Prepared:
+    """A run that is checked, or why it cannot be made; what is known of it; the seconds it took so far."""
+
+    point: Point
+    row: dict[str, Any]
+    checked: Checked | None
+    seconds: float
+
+
+def _prepared(sweep: Sweep, point: Point) -> _Prepared:
     row, begun = _row(sweep, point), time.perf_counter()
     try:
         loaded = load_point(sweep, point)
         fmus = sweep.fmus.get(parts_key(loaded)) or find_fmus(loaded, sweep.options.fmi, sweep.options.kind)
-        found = outcome(replace(check_loaded(loaded, fmus, sweep.path.parent, sweep.options), simulate=run)).result
+        checked = check_loaded(loaded, fmus, sweep.path.parent, sweep.options)
     except BristleError as error:
-        return row | {"verdict": ERROR_VERDICT, "message": str(error), "wall_s": time.perf_counter() - begun}
+        return _Prepared(point, row | _error(error), None, time.perf_counter() - begun)
+    return _Prepared(point, row, checked, time.perf_counter() - begun)
+
+
+def _error(error: BristleError) -> dict[str, Any]:
+    return {"verdict": ERROR_VERDICT, "message": str(error)}
+
+
+class _Simulation:
+    """Simulates the runs of a chunk, in one thread: in lanes where that can be, each alone with its FMUs otherwise."""
+
+    def __init__(self, sweep: Sweep, control: Control, slaves: Slaves) -> None:
+        self._sweep, self._control, self._slaves = sweep, control, slaves
+        self._together: dict[str, Together | None] = {}
+
+    def each(self, points: Sequence[Point]) -> Iterator[tuple[_Prepared, Simulate]]:
+        """Yield each run with the function that simulates it, which is to be used before the next one is asked for."""
+        for begin in range(0, len(points), WINDOW):
+            groups: dict[object, list[_Prepared]] = {}
+            for point in points[begin : begin + WINDOW]:
+                run = _prepared(self._sweep, point)
+                groups.setdefault(self._key(run), []).append(run)
+            for group in groups.values():
+                yield from self._simulated(group)
+
+    def _key(self, run: _Prepared) -> object:
+        """Return what runs that can be in step have in common."""
+        if run.checked is None or self._of(run.checked) is None:
+            return run.point.index
+        return parts_key(run.checked.setup.loaded), alike(run.checked.bus)
+
+    def _of(self, checked: Checked) -> Together | None:
+        """Return what runs such scenarios in lanes, None if nothing can."""
+        if not self._sweep.lanes:
+            return None
+        key = parts_key(checked.setup.loaded)
+        if key not in self._together:
+            try:
+                self._together[key] = Together(checked.setup)
+            except BristleError:
+                self._together[key] = None
+        return self._together[key]
+
+    def _simulated(self, group: Sequence[_Prepared]) -> Iterator[tuple[_Prepared, Simulate]]:
+        first = group[0].checked
+        together = None if first is None or len(group) == 1 else self._of(first)
+        width = 1 if together is None else together.width
+        for begin in range(0, len(group), width):
+            runs = group[begin : begin + width]
+            traces = [None] * len(runs) if together is None else self._in_step(runs, together)
+            for run, trace in zip(runs, traces, strict=True):
+                yield run, partial(self._alone, run, trace)
+
+    def _in_step(self, runs: Sequence[_Prepared], together: Together) -> Sequence[Trace | None]:
+        begun = time.perf_counter()
+        traces = together.run([run.checked.bus for run in runs if run.checked is not None], self._control)
+        for run in runs:
+            run.seconds += (time.perf_counter() - begun) / len(runs)
+        return traces
+
+    def _alone(self, run: _Prepared, trace: Trace | None, bus: Bus, _progress: object = None, _timeout: object = None) -> Trace:
+        """Return the trace that is there, for the bus that it is of; simulate any other."""
+        if trace is not None and run.checked is not None and bus is run.checked.bus:
+            return trace
+        return simulate(bus, control=self._control, slaves=self._slaves)
+
+
+def _judged(run: _Prepared, simulate_run: Simulate) -> dict[str, Any]:
+    """Make one run."""
+    row, begun = run.row, time.perf_counter() - run.seconds
+    if run.checked is None:
+        return row | {"wall_s": run.seconds}
+    try:
+        found = outcome(replace(run.checked, simulate=simulate_run)).result
+    except BristleError as error:
+        return row | _error(error) | {"wall_s": time.perf_counter() - begun}
     failed = [check["name"] for check in found["checks"] if not check["pass"]]
     verdict = {
         "verdict": found["verdict"], "message": found["diverged"]["message"] if "diverged" in found else "",

@@ -41,10 +41,13 @@ class Target:
         As in `sys.platform`: linux, win32 or darwin.
     triple : str
         Name of the platform for zig; empty for this machine, which its own compiler compiles for.
+    options : tuple of str
+        Flags behind `FLAGS`.
     """
 
     system: str = sys.platform
     triple: str = ""
+    options: tuple[str, ...] = ()
 
     @property
     def suffix(self) -> str:
@@ -53,7 +56,7 @@ class Target:
 
     def flags(self) -> tuple[str, ...]:
         """Return the flags of a compilation; code for Windows is always position-independent."""
-        return FLAGS if self.system == "win32" else (*FLAGS, "-fPIC")
+        return (*FLAGS, *self.options) if self.system == "win32" else (*FLAGS, "-fPIC", *self.options)
 
     def link_flags(self, name: str) -> tuple[str, ...]:
         """Return the flags that link a library of this name; nothing in it may depend on when or where that was."""

@@ -1,4 +1,7 @@
-"""Print a kernel as C99, as plain Python or as NumPy: one pass over its instructions, one table of spellings for each language."""
+"""Print a kernel as C99, as C of several lanes, as plain Python or as NumPy.
+
+One pass over its instructions, one table of spellings for each language.
+"""
 
 from __future__ import annotations
 
@@ -41,6 +44,18 @@ _C = _Language("NAN", "INFINITY", _SHARED | {
     ca.OP_CEIL: "ceil({0})", ca.OP_SQRT: "sqrt({0})", ca.OP_EXP: "exp({0})", ca.OP_LOG: "log({0})", ca.OP_SIN: "sin({0})",
     ca.OP_COS: "cos({0})", ca.OP_TANH: "tanh({0})", ca.OP_ATAN2: "atan2({0}, {1})", ca.OP_POW: "pow({0}, {1})",
     ca.OP_CONSTPOW: "pow({0}, {1})",
+})  # fmt: skip
+# Values are vectors of one number a lane, conditions too; what has no instruction is called lane by lane: the same digits as in C.
+_LANES = _Language("NAN", "INFINITY", _SHARED | {
+    ca.OP_ASSIGN: "ALL({0})", ca.OP_LT: "ONE(ALL({0}) < {1})", ca.OP_LE: "ONE(ALL({0}) <= {1})",
+    ca.OP_EQ: "ONE(ALL({0}) == {1})", ca.OP_NE: "ONE(ALL({0}) != {1})", ca.OP_NOT: "ONE(ALL({0}) == 0)",
+    ca.OP_AND: "ONE(TRUE({0}) & TRUE({1}))", ca.OP_OR: "ONE(TRUE({0}) | TRUE({1}))", ca.OP_IF_ELSE_ZERO: "KEPT(TRUE({0}), {1})",
+    ca.OP_SIGN: "ONE(ALL({0}) > 0) - ONE(ALL({0}) < 0)", ca.OP_FMIN: "CHOSEN((ALL({0}) < {1}) | (ALL({0}) != {0}), {0}, {1})",
+    ca.OP_FMAX: "CHOSEN((ALL({0}) > {1}) | (ALL({0}) != {0}), {0}, {1})",
+    ca.OP_FABS: "each_fabs({0})", ca.OP_FLOOR: "each_floor({0})", ca.OP_CEIL: "each_ceil({0})", ca.OP_SQRT: "each_sqrt({0})",
+    ca.OP_EXP: "each_exp({0})", ca.OP_LOG: "each_log({0})", ca.OP_SIN: "each_sin({0})", ca.OP_COS: "each_cos({0})",
+    ca.OP_TANH: "each_tanh({0})", ca.OP_ATAN2: "each_atan2(ALL({0}), ALL({1}))", ca.OP_POW: "each_pow(ALL({0}), ALL({1}))",
+    ca.OP_CONSTPOW: "each_pow(ALL({0}), ALL({1}))",
 })  # fmt: skip
 _PYTHON = _Language("math.nan", "math.inf", _SHARED | {
     ca.OP_LT: "float({0} < {1})", ca.OP_LE: "float({0} <= {1})", ca.OP_EQ: "float({0} == {1})",
@@ -102,30 +117,62 @@ def _walk(function: ca.Function, reads: Sequence[int], spell: _Language) -> tupl
     return lines, results
 
 
+@dataclass(frozen=True)
+class _Dialect:
+    """How C is written: the language, the type of a number, arguments of a kernel, a result that is stored, zero, a condition."""
+
+    language: _Language
+    number: str
+    arguments: Mapping[str, str]
+    stored: str
+    zero: str
+    condition: str
+
+
+_PLAIN = _Dialect(
+    _C, "double", {"v": "double *", "h": "double ", "out": "double *"}, "{array}[{place}] = {value};", "0.0", "{0} != 0"
+)
+_WIDE = _Dialect(
+    _LANES, "Number", {"v": "Number *", "h": "Number ", "out": "Number *", "on": "Mask "},
+    "{array}[{place}] = CHOSEN(on, {value}, {array}[{place}]);", "ALL(0.0)", "ANY(TRUE({0}))",
+)  # fmt: skip
+
+
 def emit_c(kernel: Kernel) -> str:
     """Return the kernel as a static C99 function ``void name(double *v, double h, double *out)``."""
-    array = "out" if kernel.to_output else "v"
-    text = [f"static void {kernel.name}(double *v, double h, double *out)", "{", "    (void)v; (void)h; (void)out;"]
+    return _emit_c(kernel, _PLAIN)
+
+
+def emit_lanes(kernel: Kernel) -> str:
+    """Return it as ``void name(Number *v, Number h, Number *out, Mask on)``: several at once, results only of lanes that are on."""
+    return _emit_c(kernel, _WIDE)
+
+
+def _emit_c(kernel: Kernel, dialect: _Dialect) -> str:
+    array, arguments = "out" if kernel.to_output else "v", dialect.arguments
+    head = f"static void {kernel.name}({', '.join(f'{kind}{name}' for name, kind in arguments.items())})"
+    text = [head, "{", f"    {' '.join(f'(void){name};' for name in arguments)}"]
     for function, targets in kernel.blocks:
-        lines, results = _walk(function, kernel.reads, _C)
+        lines, results = _walk(function, kernel.reads, dialect.language)
         text.append("    {")
-        text += _statements(arranged(lines, set(results.values())), (), "        ")
-        text += [f"        {array}[{targets[k]}] = {results[k]};" for k in sorted(results)]
+        text += _statements(arranged(lines, set(results.values())), (), "        ", dialect)
+        stored = (dialect.stored.format(array=array, place=targets[k], value=results[k]) for k in sorted(results))
+        text += [f"        {line}" for line in stored]
         text.append("    }")
     return "\n".join([*text, "}", ""])
 
 
-def _statements(lines: Sequence[Line | Branch], shown: Collection[str], indent: str) -> list[str]:
+def _statements(lines: Sequence[Line | Branch], shown: Collection[str], indent: str, dialect: _Dialect) -> list[str]:
     """Return the lines as C; those in `shown` are declared outside."""
-    text = []
+    text, number = [], dialect.number
     for line in lines:
         if isinstance(line, Line):
-            text.append(f"{indent}{'' if line.name in shown else 'const double '}{line.name} = {line.text};")
+            text.append(f"{indent}{'' if line.name in shown else f'const {number} '}{line.name} = {line.text};")
             continue
         if fresh := [name for name in line.shown if name not in shown]:
-            text.append(f"{indent}double {', '.join(f'{name} = 0.0' for name in fresh)};")
-        inner = _statements(line.lines, {*shown, *line.shown}, indent + "    ")
-        text += [f"{indent}if ({line.condition} != 0) {{", *inner, f"{indent}}}"]
+            text.append(f"{indent}{number} {', '.join(f'{name} = {dialect.zero}' for name in fresh)};")
+        inner = _statements(line.lines, {*shown, *line.shown}, indent + "    ", dialect)
+        text += [f"{indent}if ({dialect.condition.format(line.condition)}) {{", *inner, f"{indent}}}"]
     return text
 
 

@@ -1,4 +1,4 @@
-"""A program as C99 sources: generated model.h and model.c beside the fixed core.h and core.c."""
+"""A program as C sources: generated model.h and model.c beside the fixed core.h and core.c, or lanes.h and lanes.c."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 
 from bristle.common.cache import digest
-from bristle.model.emit import emit_c
+from bristle.model.emit import emit_c, emit_lanes
 from bristle.model.program import Program, Variant
 from bristle.model.system import System
 
@@ -26,13 +26,18 @@ def _list(values: Sequence[int]) -> str:
     return "{" + ", ".join(map(str, values or [-1])) + "}"
 
 
-def _variant(variant: Variant) -> tuple[str, str]:
+WIDE_KERNELS = KERNELS[:7]  # what lanes call
+
+
+def _variant(
+    variant: Variant, kernels: Sequence[str] = KERNELS, lists: Sequence[str] = ("states", "ders", "finite")
+) -> tuple[str, str]:
     """Return (tables, entry of VARIANTS) of one variant."""
     name = variant.system.name
-    groups = {"states": variant.states, "ders": variant.ders, "finite": variant.finite}
+    groups = {each: getattr(variant, each) for each in lists}
     tables = "".join(f"static const int {name}_{group}[] = {_list(places)};\n" for group, places in groups.items())
     kept = variant.kept()
-    pointers = [kept[k].name if k in kept else "0" for k in KERNELS]
+    pointers = [kept[k].name if k in kept else "0" for k in kernels]
     numbers = [len(variant.states), len(variant.finite), *(f"{name}_{group}" for group in groups)]
     places = [variant.sample_time, variant.max_step, variant.max_steps, variant.friction_step]
     return tables, "    {" + ", ".join(map(str, [*pointers, *numbers, *places])) + "}"
@@ -81,12 +86,11 @@ def _plain(value: Any, found: list[SX]) -> Any:
     return value
 
 
-def c_sources(program: Program) -> dict[str, str]:
-    """Return file name -> text of all C sources that the program needs to run without this library."""
+def _header(program: Program) -> str:
     most = max(len(a.states) for a in program.variants)
     jacobian = max(a.kernels["jacobian"].blocks[0][0].numel_out() if "jacobian" in a.kernels else 0 for a in program.variants)
     selector, index, running = program.choice
-    header = f"""/* {program.name}: {program.description} (generated) */
+    return f"""/* {program.name}: {program.description} (generated) */
 #ifndef BRISTLE_MODEL_H
 #define BRISTLE_MODEL_H
 #define N_V {len(program.slots)}
@@ -101,6 +105,15 @@ def c_sources(program: Program) -> dict[str, str]:
 #define RUNNING {max(running, 0)}
 #endif
 """
+
+
+def _fixed(*names: str) -> dict[str, str]:
+    folder = files("bristle.model") / "c"
+    return {name: (folder / name).read_text(encoding="utf-8") for name in names}
+
+
+def c_sources(program: Program) -> dict[str, str]:
+    """Return file name -> text of all C sources that the program needs to run without this library."""
     body = [f"/* {program.name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
     entries = []
     for variant in program.variants:
@@ -110,6 +123,15 @@ def c_sources(program: Program) -> dict[str, str]:
         entries.append(entry)
     body.append("const Variant VARIANTS[N_VARIANTS] = {\n" + ",\n".join(entries) + "\n};")
     body.append("const double START[N_V] = {" + ", ".join(repr(float(x)) for x in program.starts) + "};\n")
-    folder = files("bristle.model") / "c"
-    fixed = {name: (folder / name).read_text(encoding="utf-8") for name in ("core.h", "core.c")}
-    return {"model.h": header, "model.c": "\n".join(body), **fixed}
+    return {"model.h": _header(program), "model.c": "\n".join(body), **_fixed("core.h", "core.c")}
+
+
+def lanes_sources(program: Program) -> dict[str, str]:
+    """Return the same of a program with one variant, which steps several instances at once."""
+    [variant] = program.variants
+    kept = variant.kept()
+    tables, entry = _variant(variant, WIDE_KERNELS, ("states", "finite"))
+    body = [f"/* {program.name}: the equations, in lanes (generated) */", '#include "lanes.h"', ""]
+    body += [emit_lanes(kept[name]) for name in WIDE_KERNELS if name in kept]
+    body += [tables, f"const Wide WIDE =\n{entry};\n"]
+    return {"model.h": _header(program), "model.c": "\n".join(body), **_fixed("core.h", "lanes.h", "lanes.c")}

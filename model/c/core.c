@@ -3,10 +3,6 @@
 #include <math.h>
 #include <string.h>
 
-#define MAX_LEVEL 40          /* a segment is halved at most this often */
-#define STEP_ROUNDING 1e-6    /* of an internal step: how much longer than asked it may be */
-#define SAME_INSTANT 1e-3     /* of a sampling period or a shorter step: how far the sum of many steps may drift from the grid */
-
 void core_defaults(Core *c)
 {
     memset(c, 0, sizeof *c);

@@ -5,6 +5,10 @@
 
 #include "model.h" /* generated: N_V, N_X, N_VARIANTS, N_JACOBIAN, N_SENSITIVITIES, CHOICE, ... */
 
+#define MAX_LEVEL 40          /* a segment is halved at most this often */
+#define STEP_ROUNDING 1e-6    /* of an internal step: how much longer than asked it may be */
+#define SAME_INSTANT 1e-3     /* of a sampling period or a shorter step: how far the sum of many steps may drift from the grid */
+
 typedef void (*Kernel)(double *v, double h, double *out);
 
 typedef struct {

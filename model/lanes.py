@@ -1,0 +1,137 @@
+"""Several instances of a program in step, one in each lane of the processor's vectors, with the digits of one alone."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from collections.abc import Mapping, Sequence
+from copy import copy
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bristle.common.cache import cached, digest
+from bristle.common.errors import BristleError
+from bristle.model.compiler import SUFFIX, Target, compile_shared, compiler_identity
+from bristle.model.native import pointer
+from bristle.model.program import Program
+from bristle.model.sources import fingerprint, lanes_sources
+from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME
+
+__all__ = ["TIMING", "Lanes"]
+
+Array = NDArray[np.float64]
+TIMING = tuple(each.name for each in (SAMPLE_TIME, MAX_STEP, MAX_STEPS, FRICTION_STEP))  # parameters that all lanes must share
+OWN_PROCESSOR = "-march=native"  # its widest vectors; without it where the compiler does not know the flag
+
+
+class Lanes:
+    """As many instances of one program as the processor's vectors have lanes.
+
+    Parameters
+    ----------
+    program : Program
+        With one variant.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program, self.library = program, _compiled(program)
+        self.width = int(self.library.lanes_width())
+        self._reserve()
+
+    def twin(self) -> Lanes:
+        """Return as many more instances of the same program."""
+        other = copy(self)
+        other._reserve()
+        return other
+
+    def _reserve(self) -> None:
+        size = int(self.library.lanes_size())
+        room = np.zeros(size + 64, dtype=np.uint8)
+        begin = -room.ctypes.data % 64  # vectors are aligned
+        self._memory = room[begin : begin + size]
+
+    @property
+    def address(self) -> int:
+        """Where the library finds it."""
+        return int(self._memory.ctypes.data)
+
+    def place(self, name: str, lane: int) -> int:
+        """Return the address of a variable."""
+        return self.address + 8 * self.reference(name, lane)
+
+    def reference(self, name: str, lane: int) -> int:
+        """Return by which number `lanes_get` knows a variable."""
+        return self.program.index[name] * self.width + lane
+
+    def initialise(self, values: Sequence[Mapping[str, float]], time: float, driven: Mapping[str, tuple[float, float]]) -> None:
+        """Set each lane to its start.
+
+        Parameters
+        ----------
+        values : sequence of mapping of str to float, one a lane
+            Parameters and start values of inputs, in the program's units.
+        time : float
+            Start time [s].
+        driven : mapping of str to (low, high)
+            Inputs that will be set; a lane fails where one is outside these limits, or is no number.
+
+        Raises
+        ------
+        BristleError
+            If the lanes differ in one of `TIMING`.
+        """
+        table = np.repeat(np.array(self.program.starts)[:, None], self.width, axis=1)
+        for lane, given in enumerate(values):
+            for name, value in given.items():
+                table[self.program.index[name], lane] = value
+        for name in TIMING:
+            if name in self.program.index and np.ptp(table[self.program.index[name]]):
+                raise BristleError(f"{self.program.name}: '{name}' differs between lanes; run those alone")
+        places = np.array([self.program.index[name] for name in driven], dtype=np.int32)
+        low, high = (np.array([pair[end] for pair in driven.values()], dtype=float) for end in (0, 1))
+        self.library.lanes_initialise(
+            ctypes.c_void_p(self.address), pointer(table), ctypes.c_double(time), len(places), pointer(places), pointer(low),
+            pointer(high),
+        )  # fmt: skip
+
+    def alive(self, lane: int) -> bool:
+        """Say whether a lane has come so far without a failure."""
+        return bool(self.library.lanes_alive(ctypes.c_void_p(self.address), lane))
+
+    def steps(self, lane: int) -> int:
+        """Return how many internal steps a lane has taken since its start."""
+        return int(self.library.lanes_steps(ctypes.c_void_p(self.address), lane))
+
+    def function(self, name: str) -> int:
+        """Return the address of a function of the library."""
+        return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
+
+
+def _compiled(program: Program) -> ctypes.CDLL:
+    """Compile a program for the processor of this machine (or take it from the cache) and load it."""
+    try:
+        library = _library(program, Target(options=(OWN_PROCESSOR,)))
+    except BristleError:  # a compiler that does not know this flag
+        library = _library(program, Target())
+    library.lanes_steps.restype = ctypes.c_longlong
+    return library
+
+
+def _library(program: Program, target: Target) -> ctypes.CDLL:
+    key = digest(*target.flags(), compiler_identity(), _processor(), *fingerprint(program))
+    name = f"{program.name}-lanes-{key[:24]}{SUFFIX}"
+    return ctypes.CDLL(str(cached(name, lambda out: compile_shared(lanes_sources(program), out, target))))
+
+
+@lru_cache(maxsize=1)
+def _processor() -> str:
+    """Return what tells processors with other vectors apart."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    features = {line for line in lines if line.startswith(("flags", "Features"))}
+    return " ".join([platform.machine(), platform.processor(), *sorted(features)])
