@@ -20,6 +20,7 @@ from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, fit_with_noise
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.report.result import Diagnosis
+from bristle.diagnosis.selection import stepwise
 from bristle.model.native import Native
 from bristle.model.program import Program
 from bristle.plant.effects import effect, effects
@@ -53,6 +54,13 @@ STRONG = {  # effects, each as strong as the friction or so
 def tree() -> dict[str, Any]:
     """The content of a model file, to be changed."""
     return deepcopy(TREE)
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search among a quarter of the effects, where which of them explains most is not what is tested."""
+    kept = ("gravity", "bias", "stribeck", "quadratic_drag", "input_delay", "gain_asymmetry")
+    monkeypatch.setattr(stepwise, "all_effects", lambda: {name: effects()[name] for name in kept})
 
 
 @pytest.fixture

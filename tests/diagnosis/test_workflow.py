@@ -22,10 +22,8 @@ from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, w
 from bristle.diagnosis import preparation as prepare
 from bristle.diagnosis.estimation import fitted_model as fitting_module
 from bristle.diagnosis.modelfile import model_text
-from bristle.diagnosis.selection import stepwise
 from bristle.diagnosis.workflow import teller
 from bristle.fmus import build
-from bristle.plant.effects import effects
 
 Call = Callable[..., tuple[int, dict[str, Any], str]]
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -58,13 +56,6 @@ def call(
     yield run
     for number, handler in kept.items():
         signal.signal(number, handler)
-
-
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Search among a quarter of the effects, where which of them explains most is not what is tested."""
-    kept = ("gravity", "bias", "stribeck", "quadratic_drag", "input_delay", "gain_asymmetry")
-    monkeypatch.setattr(stepwise, "all_effects", lambda: {name: effects()[name] for name in kept})
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +167,7 @@ def test_a_bound_that_the_base_refit_ends_at_is_said(call: Call, measured: Calla
     assert "augmented.fmu" in answer["files"]
 
 
+@pytest.mark.usefixtures("few")
 @pytest.mark.slow
 def test_what_was_named_is_no_candidate_of_the_model_that_has_it(
     measured: Callable[..., Any], model: Model, tmp_path: Path
@@ -239,6 +231,7 @@ LUGRE = {"sigma0": 100.0, "sigma1": 0.5, "Fc": 0.12, "Fs": 0.15, "vs": 0.2}
         ("coulomb", {"Fc": 0.12}, "current", "position"),
     ],
 )
+@pytest.mark.usefixtures("few")
 @pytest.mark.slow
 def test_any_law_input_and_output(
     friction: str, own: dict[str, float], kind: str, output: str, measured: Callable[..., Any], tree: dict[str, Any]

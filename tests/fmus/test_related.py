@@ -26,10 +26,10 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.fixture(params=CASES, ids=str)
-def made(request, tmp_path):
+@pytest.fixture(scope="module", params=CASES, ids=str)
+def made(request, tmp_path_factory):
     what, options = request.param
-    return build(what, tmp_path / "made.fmu", **options)
+    return build(what, tmp_path_factory.mktemp("related") / "made.fmu", **options)
 
 
 def content(path):
