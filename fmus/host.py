@@ -149,7 +149,14 @@ class Fmu:
 
     def names(self, causality: str) -> list[str]:
         """Return the names of all variables of a causality."""
-        return [name for name, v in self.variables.items() if v.causality == causality]
+        return list(self._by_causality.get(causality, ()))
+
+    @cached_property
+    def _by_causality(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for name, variable in self.variables.items():
+            found.setdefault(str(variable.causality), []).append(name)
+        return found
 
     def has(self, name: str, causality: str) -> bool:
         """Say whether there is such a variable."""

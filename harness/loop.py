@@ -107,6 +107,15 @@ class Trace:
         """Return what was recorded of a port, None if it was not."""
         return self[port] if port in self.record else None
 
+    def says_something(self, port: Port) -> bool:
+        """Say whether a number other than 0 was ever recorded of a port."""
+        return self._not_zero.get(port, False) and bool(np.nan_to_num(self[port]).any())
+
+    @cached_property
+    def _not_zero(self) -> dict[Port, bool]:
+        """Whether anything but 0 was recorded of each port: one pass over all, since most ports of an observer are 0 throughout."""
+        return dict(zip(self.record, np.any(self.values, axis=0).tolist(), strict=True))
+
     def flag(self, port: Port) -> Array:
         """Return a flag for each row: what was read next, at that row or after it."""
         readings = self._readings.get(port)

@@ -218,16 +218,11 @@ def courses(trace: Trace, units: Mapping[str, str]) -> dict[str, Course]:
     flags = trace.flags[-1][1]
     adapted = bool(flags[said]) if said in flags else None
     for name in estimated_parameters(trace.record, flags):
-        hat, valid = trace[("observer", f"{name}_hat")], trace.flag(("observer", f"{name}_valid"))
-        sd = trace.get(("observer", f"{name}_sd"))
-        if valid.any() or _says_something(hat) or (sd is not None and _says_something(sd)):
-            found[name] = Course(hat, valid, sd, adapted, units.get(name, "1"))
+        hat, sd, valid = (("observer", f"{name}_{what}") for what in ("hat", "sd", "valid"))
+        said_valid = trace.flag(valid)
+        if said_valid.any() or trace.says_something(hat) or trace.says_something(sd):
+            found[name] = Course(trace[hat], said_valid, trace.get(sd), adapted, units.get(name, "1"))
     return found
-
-
-def _says_something(course: Array) -> bool:
-    """Whether a number other than 0 is among them."""
-    return bool(course.any() and np.nan_to_num(course).any())  # most are all 0, which the first test sees sooner
 
 
 def estimates(time: Array, published: Mapping[str, Course], true: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
