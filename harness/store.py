@@ -151,6 +151,8 @@ class Store:
                 connection.register("files", dataset)
                 once = f"SELECT * EXCLUDE (_copy) FROM (SELECT *, {ROW_NUMBER} AS _copy FROM files) WHERE _copy = 1"
                 connection.execute(f"CREATE VIEW runs AS {once}")
+                connection.execute("SET enable_external_access = false")  # a query reads runs, and neither reads nor writes files
+                connection.execute("SET lock_configuration = true")
                 found: Any = connection.execute(sql)
                 if found is None:
                     raise BristleError("query: says nothing; write for example SELECT verdict, count(*) FROM runs GROUP BY 1")

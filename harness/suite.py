@@ -80,7 +80,9 @@ class CheckSummary:
     worst_run: str
 
 
-def find_cases(given: Sequence[Path], seeds: Sequence[int], values: Sequence[Sequence[str]]) -> list[Case]:
+def find_cases(
+    given: Sequence[Path], seeds: Sequence[int], values: Sequence[Sequence[str]], overrides: Sequence[str] = ()
+) -> list[Case]:
     """Return a case for each scenario, combination of values and seed.
 
     Parameters
@@ -91,13 +93,15 @@ def find_cases(given: Sequence[Path], seeds: Sequence[int], values: Sequence[Seq
         Seeds of the reference; none: that of the file.
     values : sequence of sequence of str
         For each path that varies, its ``path=value``; all combinations are run.
+    overrides : sequence of str
+        ``path=value`` of all runs.
 
     Raises
     ------
     BristleError
-        If nothing is there to run, or two files have one name.
+        If nothing is there to run, two files have one name, or a path would have two values at once.
     """
-    refuse_conflicts([of_key[0] for of_key in values if of_key], seeds, ())
+    refuse_conflicts([of_key[0] for of_key in values if of_key], seeds, overrides)
     paths = [path for each in given for path in _files(each)]
     names = [path.stem for path in paths]
     for path in paths:

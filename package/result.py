@@ -266,14 +266,28 @@ class Reproduction(_Answer):
         found: Sequence[Mapping[str, Any]] = self.data["eq25"]
         return found
 
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the verdict, and eq. (25) of all models."""
+        from html import escape
+
+        from bristle.common import html
+        from bristle.harness.reproduce import COMPARED
+
+        rows = [
+            [f"{escape(row['plant'])}, order {row['order']}", *(html.number(row[key]) for key in COMPARED)] for row in self.eq25
+        ]
+        table = html.table(["eq. (25), %", *COMPARED], rows, range(1, len(COMPARED) + 1))
+        return f"<p><b>{escape(self.verdict)}</b></p>\n{table}\n<p>{escape(str(self.report))}</p>"
+
     def __repr__(self) -> str:
         return f"<Reproduction: {self.verdict}, in {str(self.folder)!r}>"
 
     def __str__(self) -> str:
-        columns = [name for name in self.eq25[0] if name in ("printed", "repaired", "best", "linear", "coulomb", "floor")]
-        lines = [f"{self.verdict}; eq. (25), %", f"  {'':<12}" + "".join(f"{name:>11}" for name in columns)]
+        from bristle.harness.reproduce import COMPARED
+
+        lines = [f"{self.verdict}; eq. (25), %", f"  {'':<12}" + "".join(f"{name:>11}" for name in COMPARED)]
         for row in self.eq25:
-            values = "".join(f" {_number(row[name])}" for name in columns)
+            values = "".join(f" {_number(row[name])}" for name in COMPARED)
             lines.append(f"  {row['plant'] + ', order ' + str(row['order']):<12}{values}")
         return "\n".join([*lines, f"  {self.report}"])
 

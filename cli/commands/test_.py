@@ -50,7 +50,7 @@ def suite(
     from bristle.harness.suite_report import render, to_tree
     from bristle.harness.values import seeds_of, values_of
 
-    cases = find_cases(scenarios, seeds_of(seeds) if seeds else (), [values_of(each) for each in vary or ()])
+    cases = find_cases(scenarios, seeds_of(seeds) if seeds else (), [values_of(each) for each in vary or ()], set_ or ())
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
     with output_folder(out):
         try:

@@ -54,6 +54,8 @@ def test_the_python_door_shows_eq_25(tmp_path: Path, monkeypatch: pytest.MonkeyP
     found = bristle.reproduce(tmp_path)
     assert found.passed
     assert (found.eq25, found.estimates, found.report) == ([row], {"S": {}}, tmp_path / "report.html")
+    assert "<td>S, order 1</td>" in found._repr_html_()
+    assert found._repr_html_().count("<td") == 7
     assert str(found).splitlines()[2].split() == ["S,", "order", "1", "3", "-", "1e-09", "2.5", "0.2", "1e-12"]
 
 

@@ -54,6 +54,9 @@ def plant():
 def test_the_right_model_has_no_error_on_any_horizon(records):
     found = validate(model(), records)
     assert [r.name for r in found.records] == ["run 1", "run 2"]
+    shown = found._repr_html_()
+    assert all(f"<td>{name}</td>" in shown for name in ("run 1", "run 2"))
+    assert shown.count("<tr>") == 3
     for r in found.records:
         assert r.rms < 1e-3
         assert 99.9 < r.fit_percent <= 100.0

@@ -80,3 +80,18 @@ def test_a_query_that_is_wrong_is_said_in_a_line(store: Store, message: Message)
     line = message(lambda: store.query("SELECT nothing FROM runs"))
     assert line.startswith("query: Binder Error")
     assert "query: says nothing" in message(lambda: store.query("-- later"))
+
+
+def test_a_query_touches_no_other_file(store: Store, tmp_path: Path, message: Message) -> None:
+    pytest.importorskip("duckdb")
+    out, secret = tmp_path / "out.csv", tmp_path / "secret.csv"
+    secret.write_text("a\n1\n", encoding="utf-8")
+    lock = "SET enable_external_access = true"
+    for sql in (
+        f"COPY (SELECT run FROM runs) TO '{out}'",
+        f"SELECT * FROM read_csv('{secret}')",
+        f"ATTACH '{tmp_path / 'db'}'",
+        lock,
+    ):
+        assert message(lambda sql=sql: store.query(sql)).startswith("query: ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["secret.csv", "store"]

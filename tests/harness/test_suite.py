@@ -82,6 +82,8 @@ def test_cases_are_all_combinations(tmp_path):
         find_cases([tmp_path, tmp_path / "one.toml"], [], [])
     with pytest.raises(BristleError, match="no scenario file"):
         find_cases([Path(__file__).parent], [], [])
+    with pytest.raises(BristleError, match="a is set for all runs as well"):
+        find_cases([tmp_path], [], [["a=1", "a=2"]], ["a=3"])
 
 
 def test_the_worst_value_is_that_next_to_or_beyond_its_limit():
