@@ -32,10 +32,13 @@ def main() -> None:
         _on_signals(interrupt)
         code = app(standalone_mode=False)
         sys.stdout.flush()  # while an error of it can be said
-    except BrokenPipeError:  # nobody reads any more, as behind `| head`; the option parser ends so, too
+    except (BrokenPipeError, SystemExit) as end:  # the latter is how the option parser ends, too, when nobody reads
+        if isinstance(end, SystemExit) and end.code != FAIL:
+            raise
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 1)
-        raise SystemExit(FAIL) from None
+        print("bristle: standard output: nobody reads it any more", file=sys.stderr)
+        raise SystemExit(ERROR) from None  # 1 would be a verdict
     except (Exception, Interrupted) as error:
         _on_signals(signal.SIG_IGN)
         complain(error, "--debug" in sys.argv)

@@ -105,13 +105,13 @@ def test_a_full_standard_output(folder: Path, arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["--version"], ["schema", "model"]])
-def test_a_reader_that_has_gone_is_a_quiet_end(folder: Path, arguments: list[str]) -> None:
+def test_a_reader_that_has_gone_is_no_verdict(folder: Path, arguments: list[str]) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     command = [sys.executable, "-m", "bristle", *arguments]
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, "")
+    assert (done.returncode, done.stderr) == (2, "bristle: standard output: nobody reads it any more\n")
 
 
 @pytest.mark.parametrize(("error", "said"), [
