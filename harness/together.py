@@ -7,21 +7,17 @@ beyond all bounds) gives no trace here: it is made again alone, with its FMUs, w
 from __future__ import annotations
 
 import sys
-import threading
 from collections.abc import Sequence
 
 import numpy as np
 
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
+from bristle.fmus.lanes import TIMING, Lanes, lanes_of
 from bristle.harness.loop import Array, Bus, Compiled, Memory, Port, Trace, Unit, library
 from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
-from bristle.model.lanes import TIMING, Lanes
 
 RUNS_WORTH_IT = 100  # fewer runs take less time than the programs, which are made once a process
-
-_kept: dict[tuple[object, ...], Lanes] = {}
-_making = threading.Lock()
 
 
 def alike(bus: Bus) -> tuple[object, ...]:
@@ -96,19 +92,13 @@ class Together:
 
 def _lanes(setup: Setup, name: str) -> Lanes:
     """Return lanes of the program of one FMU, of the chosen law or method alone."""
-    from bristle.fmus.build import program_of
-
     fmu, part = setup.fmus[name], getattr(setup.scenario, name)
     selector = SELECTOR_PARAMETERS.get(name, "")
     variant = getattr(part, selector, None)
     if fmu.has(selector, "parameter"):
         number = setup.values[name].get(selector, fmu.start(selector))
         variant = next(choice for choice, value in fmu.choices(selector).items() if value == number)
-    effects = tuple(sorted(getattr(part, "effects", ())))
-    with _making:  # one thread makes what all use
-        if (name, variant, effects) not in _kept:
-            _kept[name, variant, effects] = Lanes(program_of(name, variant, effects))
-        return _kept[name, variant, effects].twin()
+    return lanes_of(name, variant, getattr(part, "effects", ()))
 
 
 def _unit(lanes: Lanes) -> Unit:

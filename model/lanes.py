@@ -20,8 +20,6 @@ from bristle.model.program import Program
 from bristle.model.sources import fingerprint, lanes_sources
 from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME
 
-__all__ = ["TIMING", "Lanes"]
-
 Array = NDArray[np.float64]
 TIMING = tuple(each.name for each in (SAMPLE_TIME, MAX_STEP, MAX_STEPS, FRICTION_STEP))  # parameters that all lanes must share
 OWN_PROCESSOR = "-march=native"  # its widest vectors; without it where the compiler does not know the flag
