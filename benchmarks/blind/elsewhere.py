@@ -104,19 +104,21 @@ CONDITIONS = {
 
 def enter(condition: Condition) -> None:
     """Change the generator of this process."""
-    resolution = 2 * math.pi / condition.counts
-    for module in (truth, cases, forms, gap):
-        module.RESOLUTION = resolution  # type: ignore[attr-defined]
-    gap.base_friction = lambda J, Fc: truth.base_friction(J, Fc) | condition.friction({"J": J, "Fc": Fc})
-    scene.disturbance = condition.noise
     drawn = scene.draw_scene
+
+    def friction(J: float, Fc: float) -> dict[str, float]:
+        return truth.base_friction(J, Fc) | condition.friction({"J": J, "Fc": Fc})
 
     def changed(*arguments: Any) -> scene.Scene:
         made = drawn(*arguments)
         return scene.with_friction(made, made.friction | condition.friction(made.base))
 
-    cases.draw_scene = changed
-    cases.model_text = partial(model_of, condition)
+    resolution = 2 * math.pi / condition.counts
+    replaced: list[tuple[Any, str, object]] = [(module, "RESOLUTION", resolution) for module in (truth, cases, forms, gap)]
+    replaced += [(gap, "base_friction", friction), (scene, "disturbance", condition.noise)]
+    replaced += [(cases, "draw_scene", changed), (cases, "model_text", partial(model_of, condition))]
+    for module, name, value in replaced:
+        setattr(module, name, value)
 
 
 def model_of(condition: Condition, given: dict[str, float]) -> str:
