@@ -45,7 +45,10 @@ def control() -> Any:
 
 
 def check_equal(buses: Sequence[Bus], made: Together) -> None:
-    for bus, trace in zip(buses, made.run(buses, control()), strict=True):
+    some, others = buses[: made.width], buses[made.width :]
+    if others:  # a processor with two lanes
+        check_equal(others, made)
+    for bus, trace in zip(some, made.run(some, control()), strict=True):
         expected = simulate(bus)
         assert trace is not None
         np.testing.assert_array_equal(trace.values, expected.values)
@@ -89,7 +92,7 @@ def test_a_run_that_is_out_of_the_ordinary_has_no_trace(base: str, scenario_file
     buses = [identification(setup) for setup in setups]
     assert simulate(buses[1]).failure is not None
     made = Together(setups[0])
-    assert [trace is None for trace in made.run(buses, control())] == [False, True, False]
+    assert [trace is None for trace in made.run(buses[:2], control())] == [False, True]
     check_equal([buses[0], buses[2]], made)
 
 

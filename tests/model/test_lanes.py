@@ -25,11 +25,20 @@ NO_LIMIT = (-1e300, 1e300)
 
 
 def in_lanes(program: Program, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]) -> tuple[Array, list[bool]]:
-    """Return the whole table after each step, shape (steps, variables, lanes), and which lanes have not failed.
+    """Return the whole table after each step, shape (steps, variables, instances), and which instances have not failed.
 
-    Inputs have the shape (steps, lanes).
+    Inputs have the shape (steps, instances). A processor with two lanes takes several turns.
     """
     lanes = Lanes(program)
+    turns = [
+        _turn(lanes, values[k : k + lanes.width], {name: series[:, k : k + lanes.width] for name, series in inputs.items()})
+        for k in range(0, len(values), lanes.width)
+    ]
+    return np.concatenate([found for found, _ in turns], axis=2), [each for _, alive in turns for each in alive]
+
+
+def _turn(lanes: Lanes, values: Sequence[Mapping[str, float]], inputs: Mapping[str, Array]) -> tuple[Array, list[bool]]:
+    program = lanes.program
     lanes.initialise([*values, *[values[-1]] * (lanes.width - len(values))], 0.0, dict.fromkeys(inputs, NO_LIMIT))
     steps = len(next(iter(inputs.values())))
     size = len(program.slots) * lanes.width
@@ -120,6 +129,15 @@ def test_a_lane_that_fails_leaves_the_others_alone() -> None:
     for lane in (0, 2):
         expected = alone(program, {}, {"u": u[:, lane]})
         np.testing.assert_array_equal(found[:, compared(program), lane], expected[:, compared(program)])
+
+
+@pytest.mark.parametrize("wrong", [2.0, -2.0, np.nan, np.inf])
+def test_a_lane_whose_input_is_outside_its_limits_fails(wrong: float) -> None:
+    lanes = Lanes(program_of("controller"))
+    lanes.initialise([{}] * lanes.width, 0.0, {"y_v": (-1.0, 1.0)})
+    (ctypes.c_double * 2).from_address(lanes.place("y_v", 0))[:] = [1.0, wrong]
+    lanes.library.lanes_step(ctypes.c_void_p(lanes.address), ctypes.c_double(0.0), ctypes.c_double(STEP), 1)
+    assert [lanes.alive(0), lanes.alive(1)] == [True, False]
 
 
 def test_a_lane_whose_internal_steps_become_too_many_fails() -> None:
