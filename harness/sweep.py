@@ -40,7 +40,7 @@ from bristle.harness.plan import find_fmus
 from bristle.harness.run import Checked, Options, Simulate, check_loaded, command_of, outcome
 from bristle.harness.scenario import Loaded, parse
 from bristle.harness.store import ERROR_VERDICT, Store
-from bristle.harness.together import RUNS_WORTH_IT, Together, alike
+from bristle.harness.together import MOST_LANES, RUNS_WORTH_IT, Together, alike
 from bristle.harness.values import refuse_conflicts
 
 Rows = list[dict[str, Any]]
@@ -486,6 +486,7 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
     with _executor(sweep, means, watcher) as (submit, workers):
         store.describe(sweep.name, _described(sweep, design, means.command))
         size = max(1, min(CHUNK_RUNS, math.ceil(total / (workers * CHUNKS_A_JOB))))
+        size = math.ceil(size / MOST_LANES) * MOST_LANES if sweep.lanes else size  # so that no lane is left over
         for rows in _finished(submit, _batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)):
             store.add(rows)
             for row in rows:

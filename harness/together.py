@@ -17,6 +17,7 @@ from bristle.fmus.lanes import TIMING, Lanes, lanes_of
 from bristle.harness.loop import Array, Bus, Compiled, Memory, Port, Trace, Unit, library
 from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
 
+MOST_LANES = 8  # of the processors that are known
 RUNS_WORTH_IT = 100  # fewer runs take less time than the programs, which are made once a process
 
 
