@@ -169,6 +169,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=12, help="cases of each condition")
     parser.add_argument("--out", type=filled_path, default=run.ROOT / "out" / "elsewhere")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--finished", action="store_true", help="write the table of the cases that are done, and make no others")
     given = parser.parse_args()
     (given.out / "results").mkdir(parents=True, exist_ok=True)
     lines = []
@@ -176,10 +177,12 @@ def main() -> None:
         plan = elsewhere_specs(given.cases, place)
         targets = [given.out / "results" / f"{spec.index:05d}.json" for spec in plan]
         calls = [(name, spec, given.out, target) for spec, target in zip(plan, targets, strict=True)]
-        run.go_on(make, calls, given.jobs, name)
-        answers = [json.loads((given.out / "answers" / target.name).read_text(encoding="utf-8")) for target in targets]
-        judged = [Judged(a, json.loads(t.read_text(encoding="utf-8"))) for a, t in zip(answers, targets, strict=True)]
-        lines.append(elsewhere_row(name, judged))
+        if not given.finished:
+            run.go_on(make, calls, given.jobs, name)
+        done = [target for target in targets if target.exists()]
+        answers = [json.loads((given.out / "answers" / target.name).read_text(encoding="utf-8")) for target in done]
+        judged = [Judged(a, json.loads(t.read_text(encoding="utf-8"))) for a, t in zip(answers, done, strict=True)]
+        lines.append(elsewhere_row(name, judged) if judged else f"| {name} | not run | | | | | | |")
     differs = "\n".join(f"- {name}: {condition.says}" for name, condition in CONDITIONS.items())
     (run.ROOT / "benchmarks" / "results" / "elsewhere.md").write_text(PAGE.format(differs=differs, rows="\n".join(lines)), "utf-8")
     print("\n".join(lines))
@@ -196,8 +199,8 @@ catalogue, and controls without an effect, from the generator of the blind test 
 |---|---|---|---|---|---|---|---|
 {rows}
 
-Named right: exactly the class of what is hidden. So few cases give no bound on an error rate: of 8 right ones of 8, the
-one-sided 95 % bound of Clopper and Pearson is 69 %. Effects differ from line to line, so lines are not to be compared with each
+Named right: exactly the class of what is hidden. So few cases give no bound on an error rate: of 6 right ones of 6, the
+one-sided 95 % bound of Clopper and Pearson is 61 %. Effects differ from line to line, so lines are not to be compared with each
 other.
 """
 
