@@ -263,23 +263,25 @@ def _rows(sweep: Sweep, points: Sequence[Point], control: Control, watcher: Watc
 
 @dataclass
 class _Prepared:
-    """A run that is checked, or why it cannot be made; what is known of it; the seconds it took so far."""
+    """What is known of a run, the seconds it took so far, and, unless it cannot be made, the run as checked and its `parts_key`."""
 
     point: Point
     row: dict[str, Any]
-    checked: Checked | None
     seconds: float
+    checked: Checked | None = None
+    parts: str = ""
 
 
 def _prepared(sweep: Sweep, point: Point) -> _Prepared:
     row, begun = _row(sweep, point), time.perf_counter()
     try:
         loaded = load_point(sweep, point)
-        fmus = sweep.fmus.get(parts_key(loaded)) or find_fmus(loaded, sweep.options.fmi, sweep.options.kind)
+        parts = parts_key(loaded)
+        fmus = sweep.fmus.get(parts) or find_fmus(loaded, sweep.options.fmi, sweep.options.kind)
         checked = check_loaded(loaded, fmus, sweep.path.parent, sweep.options)
     except BristleError as error:
-        return _Prepared(point, row | _error(error), None, time.perf_counter() - begun)
-    return _Prepared(point, row, checked, time.perf_counter() - begun)
+        return _Prepared(point, row | _error(error), time.perf_counter() - begun)
+    return _Prepared(point, row, time.perf_counter() - begun, checked, parts)
 
 
 def _error(error: BristleError) -> dict[str, Any]:
@@ -305,25 +307,23 @@ class _Simulation:
 
     def _key(self, run: _Prepared) -> object:
         """Return what runs that can be in step have in common."""
-        if run.checked is None or self._of(run.checked) is None:
+        if run.checked is None or self._of(run) is None:
             return run.point.index
-        return parts_key(run.checked.setup.loaded), alike(run.checked.bus)
+        return run.parts, alike(run.checked.bus)
 
-    def _of(self, checked: Checked) -> Together | None:
-        """Return what runs such scenarios in lanes, None if nothing can."""
-        if not self._sweep.lanes:
+    def _of(self, run: _Prepared) -> Together | None:
+        """Return what makes such runs in lanes, None if nothing can."""
+        if run.checked is None or not self._sweep.lanes:
             return None
-        key = parts_key(checked.setup.loaded)
-        if key not in self._together:
+        if run.parts not in self._together:
             try:
-                self._together[key] = Together(checked.setup)
+                self._together[run.parts] = Together(run.checked.setup)
             except BristleError:
-                self._together[key] = None
-        return self._together[key]
+                self._together[run.parts] = None
+        return self._together[run.parts]
 
     def _simulated(self, group: Sequence[_Prepared]) -> Iterator[tuple[_Prepared, Simulate]]:
-        first = group[0].checked
-        together = None if first is None or len(group) == 1 else self._of(first)
+        together = self._of(group[0]) if len(group) > 1 else None
         width = 1 if together is None else together.width
         for begin in range(0, len(group), width):
             runs = group[begin : begin + width]
@@ -334,8 +334,9 @@ class _Simulation:
     def _in_step(self, runs: Sequence[_Prepared], together: Together) -> Sequence[Trace | None]:
         begun = time.perf_counter()
         traces = together.run([run.checked.bus for run in runs if run.checked is not None], self._control)
+        spent = time.perf_counter() - begun
         for run in runs:
-            run.seconds += (time.perf_counter() - begun) / len(runs)
+            run.seconds += spent / len(runs)
         return traces
 
     def _alone(self, run: _Prepared, trace: Trace | None, bus: Bus, _progress: object = None, _timeout: object = None) -> Trace:

@@ -99,10 +99,6 @@ class Lanes:
         """Say whether a lane has come so far without a failure."""
         return bool(self.library.lanes_alive(ctypes.c_void_p(self.address), lane))
 
-    def steps(self, lane: int) -> int:
-        """Return how many internal steps a lane has taken since its start."""
-        return int(self.library.lanes_steps(ctypes.c_void_p(self.address), lane))
-
     def function(self, name: str) -> int:
         """Return the address of a function of the library."""
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
@@ -111,11 +107,9 @@ class Lanes:
 def _compiled(program: Program) -> ctypes.CDLL:
     """Compile a program for the processor of this machine (or take it from the cache) and load it."""
     try:
-        library = _library(program, Target(options=(OWN_PROCESSOR,)))
+        return _library(program, Target(options=(OWN_PROCESSOR,)))
     except BristleError:  # a compiler that does not know this flag
-        library = _library(program, Target())
-    library.lanes_steps.restype = ctypes.c_longlong
-    return library
+        return _library(program, Target())
 
 
 def _library(program: Program, target: Target) -> ctypes.CDLL:

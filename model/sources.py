@@ -19,20 +19,18 @@ from bristle.model.system import System
 
 SX = ca.SX
 
-KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian", "seen_jacobian")
+WIDE_KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step")  # what lanes call
+KERNELS = (*WIDE_KERNELS, "rates", "jacobian", "step_jacobian", "seen_jacobian")
 
 
 def _list(values: Sequence[int]) -> str:
     return "{" + ", ".join(map(str, values or [-1])) + "}"
 
 
-WIDE_KERNELS = KERNELS[:7]  # what lanes call
-
-
 def _variant(
     variant: Variant, kernels: Sequence[str] = KERNELS, lists: Sequence[str] = ("states", "ders", "finite")
 ) -> tuple[str, str]:
-    """Return (tables, entry of VARIANTS) of one variant."""
+    """Return (tables, entry of VARIANTS or WIDE) of one variant."""
     name = variant.system.name
     groups = {each: getattr(variant, each) for each in lists}
     tables = "".join(f"static const int {name}_{group}[] = {_list(places)};\n" for group, places in groups.items())

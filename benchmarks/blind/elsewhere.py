@@ -9,7 +9,6 @@ to benchmarks/results/elsewhere.md. An interrupted run continues with the cases 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import sys
@@ -29,7 +28,7 @@ import run
 import scene
 import truth
 from cases import STRONG, Spec, draw, model_text, write
-from score import Judged
+from score import Judged, judged_cases
 from truth import PERIOD, Array
 
 from bristle.common.arguments import filled_path
@@ -175,13 +174,10 @@ def main() -> None:
     lines = []
     for place, name in enumerate(CONDITIONS):
         plan = elsewhere_specs(given.cases, place)
-        targets = [given.out / "results" / f"{spec.index:05d}.json" for spec in plan]
-        calls = [(name, spec, given.out, target) for spec, target in zip(plan, targets, strict=True)]
         if not given.finished:
+            calls = [(name, spec, given.out, given.out / "results" / f"{spec.index:05d}.json") for spec in plan]
             run.go_on(make, calls, given.jobs, name)
-        done = [target for target in targets if target.exists()]
-        answers = [json.loads((given.out / "answers" / target.name).read_text(encoding="utf-8")) for target in done]
-        judged = [Judged(a, json.loads(t.read_text(encoding="utf-8"))) for a, t in zip(answers, done, strict=True)]
+        judged = judged_cases(given.out, [spec.index for spec in plan])
         lines.append(elsewhere_row(name, judged) if judged else f"| {name} | not run | | | | | | |")
     differs = "\n".join(f"- {name}: {condition.says}" for name, condition in CONDITIONS.items())
     (run.ROOT / "benchmarks" / "results" / "elsewhere.md").write_text(PAGE.format(differs=differs, rows="\n".join(lines)), "utf-8")

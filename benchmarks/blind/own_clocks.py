@@ -9,14 +9,12 @@ benchmarks/results/own_clocks.md. An interrupted run continues with the cases th
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from pathlib import Path
-from typing import Any
 
 import run  # sets the threads, before numpy
 from cases import STRONG, Spec, draw, write
-from score import Judged
+from score import Judged, judged_cases
 
 from bristle.common.arguments import filled_path
 
@@ -69,8 +67,7 @@ def main() -> None:
     run.go_on(make, [(spec, given.out, given.out / "drawn" / f"{spec.index:05d}") for spec in plan], given.jobs, "draw")
     calls = [(given.out / "cases" / f"{s.index:05d}", given.out / "results" / f"{s.index:05d}.json") for s in plan]
     run.go_on(run.diagnose_one, calls, given.jobs, "diagnose")
-    answers: list[Any] = [json.loads((given.out / "answers" / f"{s.index:05d}.json").read_text(encoding="utf-8")) for s in plan]
-    judged = [Judged(a, json.loads(path.read_text(encoding="utf-8"))) for a, (_, path) in zip(answers, calls, strict=True)]
+    judged = judged_cases(given.out, [s.index for s in plan])
     head = ["| effect | form | cases | named right | a wrong name | tie | residual flagged |", "|---|---|---|---|---|---|---|"]
     rows = [row(judged, name, form) for name in CLOCKS_NAMES for form in ("same", "other")]
     table = "\n".join([INTRODUCTION, *head, *rows])

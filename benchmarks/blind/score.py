@@ -5,10 +5,12 @@ A case is judged by classes: right if the verdict is `named` and the classes nam
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -120,6 +122,16 @@ class Figure:
         bound = "" if self.bound is None else f"{100 * self.bound:.2f} %"
         met = {True: "yes", False: "**no**", None: ""}[self.met]
         return f"| {self.name} | {value} | {self.n} | {bound} | {self.goal} | {met} |"
+
+
+def judged_cases(out: Path, indices: Iterable[int]) -> list[Judged]:
+    """Return those of the cases in a folder that have been diagnosed."""
+    found = []
+    for name in (f"{index:05d}.json" for index in indices):
+        if (out / "results" / name).exists():
+            answer, result = (json.loads((out / part / name).read_text(encoding="utf-8")) for part in ("answers", "results"))
+            found.append(Judged(answer, result))
+    return found
 
 
 def _at_most(name: str, bad: Iterable[bool], limit: float | None, basis: int | None = None) -> Figure:

@@ -1,5 +1,6 @@
 /* The clockwork around the generated functions of model.c: sampling, internal steps, error control.
- * model/runtime.py is its twin in Python, statement for statement; the two give the same digits. */
+ * model/runtime.py is its twin in Python, statement for statement, lanes.c that for several instances at once; all give the
+ * same digits. */
 #ifndef BRISTLE_CORE_H
 #define BRISTLE_CORE_H
 

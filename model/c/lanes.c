@@ -17,7 +17,7 @@ typedef struct {
     Mask on;                     /* lanes that have not failed */
     double origin;
     long long ticks;
-    long long level[LANES], left[LANES], steps[LANES]; /* left: internal steps that this communication step may still take */
+    long long level[LANES], left[LANES]; /* left: internal steps that this communication step may still take */
     double low[N_V], high[N_V];  /* of inputs */
     int n_inputs, inputs[N_V];
 } Lanes;
@@ -72,7 +72,6 @@ static void segment_controlled(Lanes *l, double begin, double length)
         for (int k = 0; k < LANES; k++) {
             if (!busy[k]) continue;
             const int found = --l->left[k] < 0 ? -1 : judged(l, k, x[WIDE.n_states][k], &i[k], &n[k]);
-            l->steps[k]++;
             if (found < 0) l->on[k] = busy[k] = 0;
             if (found <= 0) continue;
             done[k] = -1;
@@ -97,7 +96,7 @@ static void segment_fixed(Lanes *l, double begin, double length)
         WIDE.step(l->v, ALL(length / (double)n), x, l->on);
         accept(l, l->on, ALL(begin + length * ((double)i / (double)n)), x);
     }
-    for (int k = 0; k < LANES; k++) l->left[k] -= n, l->steps[k] += n;
+    for (int k = 0; k < LANES; k++) l->left[k] -= n;
 }
 
 static void integrate(Lanes *l, double begin, double end, double whole)
@@ -187,4 +186,3 @@ EXPORT int lanes_get(const Lanes *l, const unsigned *references, size_t n, doubl
 }
 
 EXPORT int lanes_alive(const Lanes *l, int lane) { return l->on[lane] != 0; }
-EXPORT long long lanes_steps(const Lanes *l, int lane) { return l->steps[lane]; }

@@ -45,9 +45,9 @@ def control() -> Any:
 
 
 def check_equal(buses: Sequence[Bus], made: Together) -> None:
-    some, others = buses[: made.width], buses[made.width :]
-    if others:  # a processor with two lanes
-        check_equal(others, made)
+    some, left = buses[: made.width], buses[made.width :]
+    if left:  # a processor with two lanes
+        check_equal(left, made)
     for bus, trace in zip(some, made.run(some, control()), strict=True):
         expected = simulate(bus)
         assert trace is not None
