@@ -23,19 +23,22 @@ from bristle.model.system import FRICTION_STEP, MAX_STEP, MAX_STEPS, SAMPLE_TIME
 Array = NDArray[np.float64]
 TIMING = tuple(each.name for each in (SAMPLE_TIME, MAX_STEP, MAX_STEPS, FRICTION_STEP))  # parameters that all lanes must share
 OWN_PROCESSOR = "-march=native"  # its widest vectors; without it where the compiler does not know the flag
+ANY_VECTORS = "-Wno-psabi"  # functions that pass wider vectors than the processor has are called in here only
 
 
 class Lanes:
-    """As many instances of one program as the processor's vectors have lanes.
+    """Several instances of one program.
 
     Parameters
     ----------
     program : Program
         With one variant.
+    width : int, optional
+        How many: 2, 4 or 8; as many as the processor's vectors have lanes by default.
     """
 
-    def __init__(self, program: Program) -> None:
-        self.program, self.library = program, _compiled(program)
+    def __init__(self, program: Program, width: int = 0) -> None:
+        self.program, self.library = program, _compiled(program, (ANY_VECTORS, f"-DLANES={width}") if width else ())
         self.width = int(self.library.lanes_width())
         self._reserve()
 
@@ -88,6 +91,11 @@ class Lanes:
         for name in TIMING:
             if name in self.program.index and np.ptp(table[self.program.index[name]]):
                 raise BristleError(f"{self.program.name}: '{name}' differs between lanes; run those alone")
+        self.begin(table, time, driven)
+
+    def begin(self, table: Array, time: float = 0.0, driven: Mapping[str, tuple[float, float]] | None = None) -> None:
+        """Set the lanes to the start of a whole `table` (variables, lanes), in which parameters of `TIMING` are alike."""
+        driven = driven or {}
         places = np.array([self.program.index[name] for name in driven], dtype=np.int32)
         low, high = (np.array([pair[end] for pair in driven.values()], dtype=float) for end in (0, 1))
         self.library.lanes_initialise(
@@ -104,12 +112,12 @@ class Lanes:
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
 
 
-def _compiled(program: Program) -> ctypes.CDLL:
+def _compiled(program: Program, options: tuple[str, ...]) -> ctypes.CDLL:
     """Compile a program for the processor of this machine (or take it from the cache) and load it."""
     try:
-        return _library(program, Target(options=(OWN_PROCESSOR,)))
+        return _library(program, Target(options=(OWN_PROCESSOR, *options)))
     except BristleError:  # a compiler that does not know this flag
-        return _library(program, Target())
+        return _library(program, Target(options=options))
 
 
 def _library(program: Program, target: Target) -> ctypes.CDLL:

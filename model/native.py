@@ -35,8 +35,6 @@ def compile_program(program: Program) -> ctypes.CDLL:
     path = cached(name, lambda out: compile_shared(c_sources(program) | {"batch.c": batch}, out))
     library = ctypes.CDLL(str(path))
     library.batch_run.restype = library.batch_steps.restype = ctypes.c_longlong
-    if program.observed:
-        library.batch_segments.restype = ctypes.c_longlong
     library.batch_message.restype = ctypes.c_char_p
     return library
 

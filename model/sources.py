@@ -19,8 +19,8 @@ from bristle.model.system import System
 
 SX = ca.SX
 
-WIDE_KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step")  # what lanes call
-KERNELS = (*WIDE_KERNELS, "rates", "jacobian", "step_jacobian", "seen_jacobian")
+WIDE_KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "step_jacobian", "seen_jacobian")  # of lanes
+KERNELS = ("derive", "start", "outputs", "before", "after", "modes", "step", "rates", "jacobian", "step_jacobian")
 
 
 def _list(values: Sequence[int]) -> str:
@@ -96,7 +96,6 @@ def _header(program: Program) -> str:
 #define N_VARIANTS {len(program.variants)}
 #define N_JACOBIAN {jacobian}
 #define N_SENSITIVITIES {len(program.sensitivities)}
-#define N_OBSERVED {int(bool(program.sensitivities and program.observed))}
 #define CHOICE {int(selector >= 0)} /* several variants: the places that choose one and tell which runs */
 #define SELECTOR {max(selector, 0)}
 #define INDEX {max(index, 0)}
@@ -132,4 +131,5 @@ def lanes_sources(program: Program) -> dict[str, str]:
     body = [f"/* {program.name}: the equations, in lanes (generated) */", '#include "lanes.h"', ""]
     body += [emit_lanes(kept[name]) for name in WIDE_KERNELS if name in kept]
     body += [tables, f"const Wide WIDE =\n{entry};\n"]
-    return {"model.h": _header(program), "model.c": "\n".join(body), **_fixed("core.h", "lanes.h", "lanes.c")}
+    segments = ["segments.c"] if program.observed and program.sensitivities else []
+    return {"model.h": _header(program), "model.c": "\n".join(body), **_fixed("core.h", "lanes.h", "lanes.c", *segments)}

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -14,8 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.dataset import Piece, Segments
-from bristle.model.native import Native, pointer
+from bristle.diagnosis.estimation.chains import Chains, chains_of
+from bristle.diagnosis.estimation.dataset import Segments
+from bristle.model.lanes import Lanes
+from bristle.model.native import pointer
+from bristle.model.program import Program
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.servo import LOAD_STARTS, servo_program
@@ -33,29 +34,23 @@ BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)  #
 START_FACTOR = 300.0  # largest factor between a positive parameter and its start value
 
 
-@lru_cache(maxsize=1)
-def _pool() -> ThreadPoolExecutor:
-    """Return the threads that simulate records in parallel: compiled code runs outside the interpreter's lock."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, "records")
-
-
-if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
-    os.register_at_fork(after_in_child=_pool.cache_clear)
-
-
 def play_parameter(effects: Sequence[str]) -> str:
     """Return the parameter that is the free play of a coupling's load, or an empty text."""
     return next((f"{name}.{find_effect(name).free_play}" for name in effects if find_effect(name).free_play), "")
 
 
 @lru_cache(maxsize=256)  # four rounds of all effects
-def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...]) -> Native:
+def _program(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...]) -> Program:
     fitted = [name for name in effects if name not in UNNAMED_TORQUES]
     wanted = [*base, *(p.name for name in fitted for p in find_effect(name).parameters), *START_STATES]
     wanted += LOAD_STATES if play_parameter(effects) else ()
     observed = "v" if velocity else "theta"
-    program = servo_program(law, encoder=False, effects=effects, sensitivities=tuple(wanted), observed=observed)
-    return Native(program)
+    return servo_program(law, encoder=False, effects=effects, sensitivities=tuple(wanted), observed=observed)
+
+
+@lru_cache(maxsize=512)
+def _compiled(law: str, effects: tuple[str, ...], velocity: bool, base: tuple[str, ...], width: int) -> Lanes:
+    return Lanes(_program(law, effects, velocity, base), width)
 
 
 class Simulator:
@@ -72,16 +67,17 @@ class Simulator:
         self._made_from = law, tuple(effects), tuple(base), dict(fixed)
         self.play = play_parameter(effects)
         self.width = len(START_STATES) + (len(LOAD_STATES) if self.play else 0)
-        self._native = _compiled(law, tuple(sorted(effects)), segments.velocity, tuple(base))
-        self._natives = [self._native.twin() for _ in segments.pieces]  # instances of its own: diagnoses may run in parallel
-        program = self._native.program
+        self._chains = chains_of(segments)
+        made = law, tuple(sorted(effects)), segments.velocity, tuple(base)
+        self._lanes = _compiled(*made, len(self._chains[0].times)).twin()  # its own: diagnoses may run in parallel
+        program = self._lanes.program
         self.names = program.sensitivities[: -self.width]
         self._v = np.array(program.starts)
         known = {"sample_time": segments.h, "solver.max_step": segments.h, **fixed}
         for name, value in known.items():
             if name in program.index:
                 self._v[program.index[name]] = value
-                states = list(self._native.variant.system.states)
+                states = list(program.variants[program.chosen].system.states)
         chosen = ["v"] if segments.velocity else ["theta", "v"]
         follow = [LEADERS.get(name, "") for name in states]
         self._set = np.array([states.index(name) for name in chosen], dtype=np.int32)
@@ -91,7 +87,7 @@ class Simulator:
         pairs = [(states.index(load), states.index(motor)) for load, motor in LEADERS.items()] if self.play else []
         self._load, self._motor = (np.array([pair[i] for pair in pairs], dtype=np.int32) for i in (0, 1))
         self._lag = len(self.names) + len(START_STATES) + np.arange(len(pairs), dtype=np.int32)
-        self._input = np.array([program.index["u"]], dtype=np.int32)
+        self._u = np.concatenate([piece.u for piece in segments.pieces])
         self._observed = program.index["v" if segments.velocity else "theta"]
 
     def over(self, segments: Segments) -> Simulator:
@@ -101,8 +97,8 @@ class Simulator:
 
     def finer(self) -> Simulator:
         """Return the same with half the step of dry friction and a tenth of the tolerance."""
-        other, index = copy(self), self._native.program.index
-        other._v = self._v.copy()
+        other, index = copy(self), self._lanes.program.index
+        other._lanes, other._v = self._lanes.twin(), self._v.copy()
         for name, factor in (("solver.friction_step", 0.5), ("solver.tolerance", 0.1)):
             if name in index:
                 other._v[index[name]] *= factor
@@ -122,14 +118,13 @@ class Simulator:
     @cached_property
     def _usual(self) -> tuple[float, float]:
         """Root mean squares of the input and of the speeds at the starts of the segments."""
-        inputs = np.concatenate([piece.u for piece in self.segments.pieces])
-        return float(np.sqrt(np.mean(np.square(inputs)))), float(np.sqrt(np.mean(np.square(self.segments.initial[:, 1]))))
+        return float(np.sqrt(np.mean(np.square(self._u)))), float(np.sqrt(np.mean(np.square(self.segments.initial[:, 1]))))
 
     def _half(self, values: Mapping[str, float]) -> float:
         return max(0.5 * self._value(self.play, values), LEAST_PLAY)
 
     def _value(self, name: str, values: Mapping[str, float]) -> float:
-        return float(values.get(name, self._v[self._native.program.index[name]]))
+        return float(values.get(name, self._v[self._lanes.program.index[name]]))
 
     def run(self, values: Mapping[str, float], initial: Array, jacobian: bool = False) -> tuple[Array, Array | None, Mask, Array]:
         """Simulate all segments from initial states (segments, width): position, velocity and, of a load with free play, how far
@@ -141,22 +136,42 @@ class Simulator:
         parameters and by the initial states. `good` (segments,): False where the simulation failed; other values there are
         undefined. `initial` (segments, width): the initial states that were simulated.
         """
-        pieces = self.segments.pieces
-        given = np.full((len(initial), self.width), np.nan)
-        given[:, : initial.shape[1]] = initial[:, : self.width]
+        s, count = self.segments, len(initial)
+        starts = np.full((count, self.width), np.nan)
+        starts[:, : initial.shape[1]] = initial[:, : self.width]
         if self.play:
-            given[:, 2] *= self._half(values)
-        parts = np.split(given, np.cumsum([len(piece.measured) for piece in pieces])[:-1])
-        run = _pool().map if len(pieces) > 1 else map
-
-        def one(native: Native, piece: Piece, own: Array) -> tuple[Array, Array, Mask, Array]:
-            return self._piece(native, piece, values, own, jacobian)
-
-        found = [np.concatenate(columns) for columns in zip(*run(one, self._natives, pieces, parts), strict=True)]
-        simulated, sens, good, initial = found
+            starts[:, 2] *= self._half(values)
+        simulated = np.empty((count, s.bins))
+        sens = np.empty((count, s.bins, len(self.names) + self.width)) if jacobian else None
+        good = np.empty(count, dtype=np.uint8)
+        chosen = np.ascontiguousarray(starts[:, self._chosen])
+        for chains in self._chains:
+            self._lanes.begin(self._table(chains, values, starts))
+            self._lanes.library.lanes_segments(
+                ctypes.c_void_p(self._lanes.address), pointer(chains.times), pointer(chains.first), pointer(chains.begin),
+                pointer(chains.end), s.bins, s.width, ctypes.c_double(s.h), self._lanes.program.index["u"], pointer(self._u),
+                len(self._set), pointer(self._set), pointer(self._column), pointer(self._leader), pointer(chosen), len(self._load),
+                pointer(self._load), pointer(self._motor), pointer(self._lag), self._observed, pointer(simulated), pointer(sens),
+                pointer(good),
+            )  # fmt: skip
+        starts[:, self._chosen] = chosen
         if self.play:
-            self._scale_by_play(values, initial, sens if jacobian else None)
-        return simulated, sens if jacobian else None, good, initial
+            self._scale_by_play(values, starts, sens)
+        return simulated, sens, good.astype(bool), starts
+
+    def _table(self, chains: Chains, values: Mapping[str, float], starts: Array) -> Array:
+        """Return the variables (variables, lanes) with which chains begin."""
+        index = self._lanes.program.index
+        v = self._v.copy()
+        for name, value in values.items():
+            if name in index:
+                v[index[name]] = value
+        table = np.repeat(v[:, None], len(chains.first), axis=1)
+        table[index["u"]] = self._u[chains.first * self.segments.bins * self.segments.width]
+        for name, column in zip(START_STATES, starts[chains.first].T, strict=False):
+            if not (self.segments.velocity and name == "theta_start"):
+                table[index[name]] = column
+        return table
 
     def _scale_by_play(self, values: Mapping[str, float], initial: Array, sens: Array | None) -> None:
         """Scale a load's place by half the play, in place, so that it stays in contact when the play changes."""
@@ -165,33 +180,6 @@ class Simulator:
         if sens is not None:
             sens[:, :, self.names.index(self.play)] += 0.5 * sens[:, :, place] * initial[:, 2, None]
             sens[:, :, place] *= half
-
-    def _piece(
-        self, native: Native, piece: Piece, values: Mapping[str, float], initial: Array, jacobian: bool
-    ) -> tuple[Array, Array, Mask, Array]:
-        library, bins = native.library, self.segments.bins
-        v, n = self._v.copy(), len(piece.measured)
-        for name, value in values.items():
-            if name in native.program.index:
-                v[native.program.index[name]] = value
-        v[native.program.index["u"]] = piece.u[0]
-        if not self.segments.velocity:
-            v[native.program.index["theta_start"]] = initial[0, 0]
-        v[native.program.index["v_start"]] = initial[0, 1]
-        native.initialise(v, piece.time)
-        simulated = np.empty((n, bins))
-        sens = np.empty((n, bins, len(self.names) + self.width)) if jacobian else np.empty((n, 0, 0))
-        good = np.empty(n, dtype=np.uint8)
-        initial = initial.copy()
-        chosen = np.ascontiguousarray(initial[:, self._chosen])
-        library.batch_segments(
-            native.core, ctypes.c_longlong(n), bins, self.segments.width, ctypes.c_double(self.segments.h), 1,
-            pointer(self._input), pointer(piece.u), len(self._set), pointer(self._set), pointer(self._column),
-            pointer(self._leader), pointer(chosen), len(self._load), pointer(self._load), pointer(self._motor),
-            pointer(self._lag), self._observed, pointer(simulated), pointer(sens) if jacobian else None, pointer(good),
-        )  # fmt: skip
-        initial[:, self._chosen] = chosen
-        return simulated, sens, good.astype(bool), initial
 
 
 @dataclass(frozen=True)

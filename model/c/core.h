@@ -13,7 +13,7 @@
 typedef void (*Kernel)(double *v, double h, double *out);
 
 typedef struct {
-    Kernel derive, start, outputs, before, after, modes, step, rates, jacobian, step_jacobian, seen_jacobian; /* 0 where absent */
+    Kernel derive, start, outputs, before, after, modes, step, rates, jacobian, step_jacobian; /* 0 where absent */
     int n_states, n_finite;
     const int *states, *ders, *finite;                       /* places in v[] */
     int sample_time, max_step, max_steps, friction_step;     /* places in v[], or -1 */

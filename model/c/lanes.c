@@ -6,22 +6,6 @@
 #include <stddef.h>
 #include <string.h>
 
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
-
-typedef struct {
-    Number v[N_V];
-    Mask on;                     /* lanes that have not failed */
-    double origin;
-    long long ticks;
-    long long level[LANES], left[LANES]; /* left: internal steps that this communication step may still take */
-    double low[N_V], high[N_V];  /* of inputs */
-    int n_inputs, inputs[N_V];
-} Lanes;
-
 static double first(const Lanes *l, int place) { return l->v[place][0]; }
 
 /* Lanes that may not take so many internal steps have failed. */
@@ -38,10 +22,30 @@ static void check_finite(Lanes *l)
     l->on &= sum == 0.0;
 }
 
+/* Carry derivatives over a step, and return where it leads. */
+static void sensitivities(Lanes *l, Mask done, Number h, Number *x)
+{
+#if N_SENSITIVITIES
+    const int n = WIDE.n_states, q = N_SENSITIVITIES;
+    Number jacobian[N_X * (N_X + N_SENSITIVITIES + 1) + 1], old[N_X * N_SENSITIVITIES + 1];
+    WIDE.step_jacobian(l->v, h, jacobian, done);
+    memcpy(old, l->s, sizeof(Number) * (size_t)(n * q));
+    for (int i = 0; i < n; i++)
+        for (int k = 0; k < q; k++) {
+            Number sum = jacobian[i * (n + q) + n + k];
+            for (int j = 0; j < n; j++) sum += jacobian[i * (n + q) + j] * old[j * q + k];
+            l->s[i * q + k] = CHOSEN(done, sum, old[i * q + k]);
+        }
+    for (int i = 0; i < n; i++) x[i] = CHOSEN(done, jacobian[n * (n + q) + i], x[i]);
+#else
+    (void)l; (void)done; (void)h; (void)x;
+#endif
+}
+
 static void accept(Lanes *l, Mask done, Number time, const Number *x)
 {
     for (int i = 0; i < WIDE.n_states; i++) l->v[WIDE.states[i]] = CHOSEN(done, x[i], l->v[WIDE.states[i]]);
-    l->v[0] = CHOSEN(done, time, l->v[0]);
+    l->v[0] = CHOSEN(done, time + l->shift, l->v[0]);
     if (WIDE.modes) WIDE.modes(l->v, ALL(0.0), 0, done);
 }
 
@@ -61,7 +65,7 @@ static int judged(Lanes *l, int k, double error, long long *i, long long *n)
 
 static void segment_controlled(Lanes *l, double begin, double length)
 {
-    Number x[N_X + 2], h, time;
+    Number x[N_X + 2] = {{0.0}}, h, time;
     Mask busy = l->on;
     long long i[LANES] = {0}, n[LANES];
     for (int k = 0; k < LANES; k++) n[k] = 1LL << l->level[k];
@@ -77,6 +81,7 @@ static void segment_controlled(Lanes *l, double begin, double length)
             done[k] = -1;
             time[k] = begin + length * ((double)i[k] / (double)n[k]);
         }
+        if (l->s) sensitivities(l, done, h, x);
         accept(l, done, time, x);
         for (int k = 0; k < LANES; k++) {
             if (!done[k]) continue;
@@ -88,12 +93,13 @@ static void segment_controlled(Lanes *l, double begin, double length)
 
 static void segment_fixed(Lanes *l, double begin, double length)
 {
-    Number x[N_X + 2];
+    Number x[N_X + 2] = {{0.0}};
     const double ratio = ceil(length / first(l, WIDE.friction_step) - STEP_ROUNDING);
     check_left(l, ratio);
     const long long n = !ANY(l->on) ? 0 : ratio < 1.0 ? 1 : (long long)ratio;
     for (long long i = 1; i <= n; i++) {
-        WIDE.step(l->v, ALL(length / (double)n), x, l->on);
+        if (l->s) sensitivities(l, l->on, ALL(length / (double)n), x);
+        else WIDE.step(l->v, ALL(length / (double)n), x, l->on);
         accept(l, l->on, ALL(begin + length * ((double)i / (double)n)), x);
     }
     for (int k = 0; k < LANES; k++) l->left[k] -= n;
@@ -113,13 +119,13 @@ static void integrate(Lanes *l, double begin, double end, double whole)
             check_finite(l);
         }
     }
-    l->v[0] = ALL(end);
+    l->v[0] = ALL(end) + l->shift;
 }
 
-static void advance(Lanes *l, double now, double h)
+void lanes_advance(Lanes *l, double now, double h)
 {
     const double end = now + h, period = WIDE.sample_time < 0 ? 0.0 : first(l, WIDE.sample_time);
-    l->v[0] = ALL(now);
+    l->v[0] = ALL(now) + l->shift;
     for (int k = 0; k < LANES; k++) l->left[k] = WIDE.max_steps >= 0 ? (long long)first(l, WIDE.max_steps) : 1000000;
     if (WIDE.sample_time < 0) {
         integrate(l, now, end, h);
@@ -142,7 +148,7 @@ static void advance(Lanes *l, double now, double h)
         for (int k = 0; k < LANES; k++)
             if (--l->left[k] < 0) l->on[k] = 0;
     } while (now < end - same && ANY(l->on));
-    l->v[0] = ALL(end);
+    l->v[0] = ALL(end) + l->shift;
     WIDE.outputs(l->v, ALL(0.0), 0, l->on);
     check_finite(l);
 }
@@ -175,7 +181,7 @@ EXPORT int lanes_step(Lanes *l, double time, double h, int again)
         const Number x = l->v[l->inputs[i]];
         l->on &= (x >= l->low[i]) & (x <= l->high[i]);
     }
-    if (ANY(l->on)) advance(l, time, h);
+    if (ANY(l->on)) lanes_advance(l, time, h);
     return 0;
 }
 

@@ -7,7 +7,14 @@
 
 #include "core.h"
 
-#if defined(__AVX512F__)
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+#if defined(LANES) /* chosen by whoever compiles; more than the processor's vectors hold take several of them */
+#elif defined(__AVX512F__)
 #define LANES 8
 #elif defined(__AVX__)
 #define LANES 4
@@ -53,12 +60,26 @@ typedef void (*WideKernel)(Number *v, Number h, Number *out, Mask on);
 
 /* The one variant of the program; places as of core.h. */
 typedef struct {
-    WideKernel derive, start, outputs, before, after, modes, step; /* 0 where absent */
+    WideKernel derive, start, outputs, before, after, modes, step, step_jacobian, seen_jacobian; /* 0 where absent */
     int n_states, n_finite;
     const int *states, *finite;
     int sample_time, max_step, max_steps, friction_step;
 } Wide;
 
 extern const Wide WIDE;
+
+typedef struct {
+    Number v[N_V];
+    Mask on;                     /* lanes that have not failed */
+    double origin;
+    Number shift;                /* how much later it is in a lane than the clock says that all share */
+    Number *s;                   /* derivatives of the states by the chosen parameters, row-major, or 0 where none are wanted */
+    long long ticks;
+    long long level[LANES], left[LANES]; /* left: internal steps that this communication step may still take */
+    double low[N_V], high[N_V];  /* of inputs */
+    int n_inputs, inputs[N_V];
+} Lanes;
+
+void lanes_advance(Lanes *l, double now, double h);
 
 #endif
