@@ -56,6 +56,6 @@ def _parts(segments: Segments, longest: int) -> Iterator[tuple[float, int, int, 
 
 def _together(parts: Sequence[tuple[float, int, int, int]], width: int) -> Chains:
     """Return parts as one group; lanes without any have no segment."""
-    filled = [*parts, *[(0.0, 1, 1, 1)] * (width - len(parts))]
+    filled = [*parts, *[(0.0, 0, 0, 0)] * (width - len(parts))]
     times, *places = (np.array(column) for column in zip(*filled, strict=True))
     return Chains(times.astype(float), *(place.astype(np.longlong) for place in places))

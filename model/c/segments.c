@@ -108,7 +108,7 @@ EXPORT void lanes_segments(Lanes *l, const double *times, const long long *first
         Mask running = {0}, failed = ~l->on;
         for (int k = 0; k < LANES; k++) {
             const int on = first[k] + r < end[k];
-            at[k] = on ? first[k] + r : end[k] - 1; /* a lane that is done repeats its last segment, for nothing */
+            at[k] = on ? first[k] + r : end[k] ? end[k] - 1 : 0; /* a lane that is done repeats its last segment, for nothing */
             running[k] = -on;
             write[k] = on && at[k] >= begin[k];
             for (int i = 0; i < n_starts; i++) start[i][k] = starts[at[k] * n_starts + i];
