@@ -201,9 +201,11 @@ def views_of(fitted: FittedModel, dataset: Dataset) -> list[Share]:
 
 def localise(dataset: Dataset, base: FittedModel, final: FittedModel) -> tuple[tuple[View, ...], list[Share]]:
     """Return the views before and after, both under the final model's noise, with maps; and the shares after."""
-    refitted = evaluate(final.problem, base.fit)
-    before, old, _ = _localised(FittedModel(base.servo, final.problem, refitted), dataset)
     after, new, response = _localised(final, dataset)
+    before, old = after, new
+    if final is not base:
+        refitted = evaluate(final.problem, base.fit)
+        before, old, _ = _localised(FittedModel(base.servo, final.problem, refitted), dataset)
     before = sorted(before, key=lambda share: share.p > LISTED_VIEW_P)  # what chance gives comes last, whatever its share
     responses = ResidualResponse(base, dataset), response  # each under its own noise
     later = {share.view: share for share in after}
