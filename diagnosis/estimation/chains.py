@@ -31,11 +31,16 @@ class Chains:
 
 
 def chains_of(segments: Segments) -> list[Chains]:
-    """Return the chains that are simulated one group after the other: parts of records where that is quicker, or whole ones."""
+    """Return the chains that are simulated one group after the other: parts of records where that is quicker, or whole ones.
+
+    Where a velocity was measured records stay whole: no segment says where it begins, so the position is the sum of all before.
+    """
     counts = [len(piece.measured) for piece in segments.pieces]
     groups = math.ceil(len(counts) / WIDE)
     longest = next(n for n in range(1, max(counts) + 1) if sum(math.ceil(count / n) for count in counts) <= WIDE * groups)
     steps = groups * (longest + (longest < max(counts)))
+    if segments.velocity:
+        longest, steps = max(counts), groups * max(counts)
     wide = WIDE_COST * steps < math.ceil(len(counts) / NARROW) * max(counts)
     parts = list(_parts(segments, longest if wide else max(counts)))
     width = WIDE if wide else NARROW

@@ -62,6 +62,13 @@ def test_long_records_are_cut_and_short_ones_are_not():
     assert len(whole.first) == NARROW
 
 
+def test_records_of_a_velocity_stay_whole():
+    """A position friction would else begin anew at another place in each part."""
+    segments = replace(records(50, 50), velocity=True)
+    [whole] = chains_of(segments)
+    assert (whole.first.tolist(), whole.end.tolist()) == ([0, 50], [50, 100])
+
+
 @pytest.mark.parametrize("effects", [("disturbance_step",), ("input_delay", "disturbance_step")])
 def test_parts_of_a_record_give_what_the_whole_record_gives(effects, monkeypatch):
     """Outputs and derivatives, with a clock that runs on; what is left of a hidden state decays in the segment before."""

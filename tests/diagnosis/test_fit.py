@@ -58,7 +58,7 @@ def test_a_step_with_a_large_predicted_gain_is_shortened_until_it_achieves_some(
     given = {"share": 0.4, "stiffness": 60.0, "damping": 0.02}
     found = joined(case("compliance", **given), "compliance").fit
     for key, value in given.items():
-        assert found.values[f"compliance.{key}"] == pytest.approx(value, rel=0.06), key
+        assert found.values[f"compliance.{key}"] == pytest.approx(value, rel=0.08), key
 
 
 def test_without_anything_hidden_the_model_is_found_within_its_intervals(case):
