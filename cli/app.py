@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from bristle.cli.completion import complete_scenario
 from bristle.common.arguments import filled_path
 from bristle.common.errors import BristleError
 
@@ -51,7 +52,10 @@ TimeoutOption = Annotated[
         help="seconds that a simulation of an FMU from elsewhere may take; else a minute for a call", min=0.001, metavar="S"
     ),
 ]
-ScenarioArgument = Annotated[Path, typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of)]
+ScenarioArgument = Annotated[
+    Path,
+    typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of, autocompletion=complete_scenario),
+]
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")]
 SeedOption = Annotated[int | None, typer.Option(help="seed of the controller's reference")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]

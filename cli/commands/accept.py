@@ -21,6 +21,7 @@ from bristle.cli.app import (
     app,
     path_of,
 )
+from bristle.cli.completion import complete_scenario
 from bristle.cli.files import refuse_duplicates
 from bristle.cli.terminal import command_line, fraction
 
@@ -33,7 +34,10 @@ from bristle.cli.terminal import command_line, fraction
 )
 def accept(
     scenarios: Annotated[
-        list[Path], typer.Argument(help="scenario files, or names from bristle list", metavar="SCENARIO", parser=path_of)
+        list[Path],
+        typer.Argument(
+            help="scenario files, or names from bristle list", metavar="SCENARIO", parser=path_of, autocompletion=complete_scenario
+        ),
     ],
     out: Annotated[Path, typer.Option(help="folder for the baselines", metavar="FOLDER", parser=path_of)] = Path("baselines"),
     kind: KindOption = Kind.native,

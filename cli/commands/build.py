@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bristle.cli.app import DebugOption, Fmi, FmiOption, Kind, KindOption, app, path_of
+from bristle.cli.completion import complete_effects, complete_law, complete_method
 from bristle.cli.terminal import fraction
 
 if TYPE_CHECKING:
@@ -31,9 +32,12 @@ def build(
     out: Annotated[Path, typer.Option(help="folder for the .fmu files", metavar="FOLDER", parser=path_of)] = Path(),
     fmi: FmiOption = Fmi.two,
     kind: KindOption = Kind.native,
-    law: Annotated[str | None, typer.Option(help="a plant of one friction law")] = None,
-    method: Annotated[str | None, typer.Option(help="an observer of one method")] = None,
-    effects: Annotated[list[str] | None, typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...")] = None,
+    law: Annotated[str | None, typer.Option(help="a plant of one friction law", autocompletion=complete_law)] = None,
+    method: Annotated[str | None, typer.Option(help="an observer of one method", autocompletion=complete_method)] = None,
+    effects: Annotated[
+        list[str] | None,
+        typer.Option(help="effects of the plant, separated by commas", metavar="NAME,...", autocompletion=complete_effects),
+    ] = None,
     encoder: Annotated[bool, typer.Option(help="without: Model Exchange for a plant of one smooth law")] = True,
     platforms: Annotated[
         str,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bristle.cli.app import DebugOption, Fmi, TimeoutOption, app, path_of
+from bristle.cli.completion import complete_effect
 from bristle.cli.files import DataCommand, files_of
 from bristle.cli.terminal import command_line, fraction
 from bristle.common.errors import BristleError, IncompleteError
@@ -36,7 +37,9 @@ def diagnose(
     ] = Path("out"),
     model: Annotated[Path | None, typer.Argument(help="model file", metavar="MODEL.toml", parser=path_of)] = None,
     fmu: Annotated[Path | None, typer.Option(help="plant FMU to diagnose", metavar="PLANT.fmu", parser=path_of)] = None,
-    choose: Annotated[str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME")] = None,
+    choose: Annotated[
+        str | None, typer.Option(help="effect of a tie to add to the model", metavar="NAME", autocompletion=complete_effect)
+    ] = None,
     fill: Annotated[bool, typer.Option("--fill", help="put what is left unexplained into the model, as an unnamed torque")] = False,
     jobs: Annotated[int, typer.Option(help="effects tried at a time; 0: one on each core", min=0, metavar="N")] = 0,
     budget: Annotated[str | None, typer.Option(help="time for the whole diagnosis, such as 60s", metavar="TIME")] = None,

@@ -22,6 +22,7 @@ from bristle.cli.app import (
     app,
     path_of,
 )
+from bristle.cli.completion import complete_scenario
 from bristle.cli.files import refuse_duplicates
 from bristle.cli.terminal import complain, progress
 from bristle.common.errors import BristleError
@@ -40,6 +41,7 @@ def run(
             help="scenario files, names from bristle list, .ssp packages, FMUs with experiments, or .exp files of them",
             metavar="SCENARIO",
             parser=path_of,
+            autocompletion=complete_scenario,
         ),
     ],
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out"),

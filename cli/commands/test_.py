@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, SetOption, TimeoutOption, app, path_of
+from bristle.cli.completion import complete_scenario
 from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
@@ -24,7 +25,13 @@ if TYPE_CHECKING:
 )
 def suite(
     scenarios: Annotated[
-        list[Path], typer.Argument(help="files, names from bristle list, or folders of them", metavar="SCENARIO", parser=path_of)
+        list[Path],
+        typer.Argument(
+            help="files, names from bristle list, or folders of them",
+            metavar="SCENARIO",
+            parser=path_of,
+            autocompletion=complete_scenario,
+        ),
     ],
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out/test"),
     seeds: Annotated[str | None, typer.Option(help="seeds of the reference: 1-12 or 1,4,7-9", metavar="SEEDS")] = None,
