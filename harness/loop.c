@@ -1,6 +1,6 @@
 /* Co-simulation over the functions of loaded FMUs. Jacobi: every unit sees the bus as it stood at the start of the step;
  * sequential (Gauss-Seidel): a unit sees what those before it have just published.
- * harness/loop.py holds the twin of these structures and the same loop through FMPy's calls; the two give the same digits. */
+ * compiled.py holds the twins of these structures, loop.py the same loop through FMPy's calls; the two give the same digits. */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>

@@ -14,7 +14,8 @@ import numpy as np
 from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
 from bristle.fmus.lanes import TIMING, Lanes, lanes_of
-from bristle.harness.loop import Array, Bus, Compiled, Memory, Port, Trace, Unit, library
+from bristle.harness.compiled import Compiled, Memory, Unit, library
+from bristle.harness.loop import Array, Bus, Port, Trace
 from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
 
 MOST_LANES = 8  # of the processors that are known

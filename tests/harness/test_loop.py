@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +13,10 @@ import pytest
 
 from bristle.fmus.calls import CONTROL_SIZE
 from bristle.fmus.host import Fmu
-from bristle.harness import loop
+from bristle.harness import compiled as compiled_loop
+from bristle.harness.compiled import HUGE
 from bristle.harness.isolate import simulate_isolated
-from bristle.harness.loop import HUGE, Bus, Drive, Instance, simulate
+from bristle.harness.loop import Bus, Drive, Instance, simulate
 from bristle.harness.plan import Kind, find_fmus, identification, prepare
 from bristle.harness.scenario import load
 
@@ -23,6 +26,31 @@ pytestmark = pytest.mark.usefixtures("no_leftovers")
 
 COMPENSATED = ["controller.compensation=valid", "controller.parameters.fade=1 ms", "controller.parameters.test_time=10 ms"]
 STIMULUS = '[[stimuli]]\nvariable = "load_scale"\npoints = [["0 s", 1.0], ["0.3 s", 1.7]]\n[[checks]]'
+
+
+NUMBERS = {"int": ctypes.c_int, "unsigned": ctypes.c_uint, "long long": ctypes.c_longlong, "double": ctypes.c_double}
+
+
+def fields_in_c(structure: str) -> list[tuple[str, object]]:
+    """Return the names and types, as of ctypes, of a structure of loop.c: what has a star, or is a function, is an address."""
+    text = (Path(compiled_loop.__file__).parent / "loop.c").read_text(encoding="utf-8")
+    found = re.search(r"typedef struct \{([^}]*)\} " + structure + ";", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL))
+    assert found is not None
+    fields = []
+    for line in filter(None, map(str.strip, found[1].split(";"))):
+        kind, first, others = re.fullmatch(r"(.*?)(\**\w+)((?:,\s*\*?\w+)*)", line, re.DOTALL).groups()  # type: ignore[union-attr]
+        for name in [first, *re.split(r",\s*", others)[1:]]:
+            address = "*" in kind or "*" in name or kind.strip() == "Function"
+            fields.append((name.strip("*"), ctypes.c_void_p if address else NUMBERS[kind.strip()]))
+    return fields
+
+
+@pytest.mark.parametrize(
+    "twin", [getattr(compiled_loop, name) for name in ("Unit", "_Link", "_Event", "_Flag", "_Master", "Lifecycle")]
+)
+def test_the_structures_are_those_of_the_c_code(twin: type[ctypes.Structure]) -> None:
+    fields = [(name.rstrip("_"), kind) for name, kind, *_ in twin._fields_]
+    assert fields == fields_in_c(twin.__name__.lstrip("_"))
 
 
 def bus_of(path: Path, fmi: int = 2, kind: Kind = "native", *overrides: str) -> Bus:
@@ -65,7 +93,7 @@ def test_a_bus_is_jacobi(tiny_fmu: Maker) -> None:
 
 
 def test_progress_and_stop(base: str, scenario_file: Maker, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loop, "SHORT_CALL", 0.0)  # no call is so short that the next does more
+    monkeypatch.setattr(compiled_loop, "SHORT_CALL", 0.0)  # no call is so short that the next does more
     bus = bus_of(scenario_file(base), 2, "native", "duration=12 s")
     seen: list[int] = []
     control = np.zeros(CONTROL_SIZE, dtype=np.int64)
