@@ -6,11 +6,13 @@ A chunk is computed by one function, `run_chunk`, wherever that is, so its digit
 from __future__ import annotations
 
 import copy
+import ctypes
 import hashlib
 import itertools
 import json
 import math
 import re
+import sys
 import threading
 import time
 import tomllib
@@ -53,6 +55,8 @@ KEPT_NUMBERS = ("adapted", "innovation", "tracking_rms", "estimates", "states", 
 CLUSTER_ADDRESS = re.compile(r"[a-z]+://\S+:\d+")
 WINDOW = 64  # runs that are read and checked before they are simulated
 MOST_MISTAKES = 10  # lines about values that cannot be run
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # parameters of mallopt, as malloc.h numbers them
+LARGEST_KEPT = 1 << 25  # bytes of an array whose memory is kept: up to where the C library goes by itself
 
 
 @dataclass(frozen=True)
@@ -398,20 +402,36 @@ def packed(sweep: Sweep) -> Sweep:
 
 
 def _unpacked(sweep: Sweep) -> Sweep:
-    """Return a sweep whose files are on this machine; they are written once a process."""
+    """Return a sweep whose files are on this machine; they are written, and read, once a process."""
     if not sweep.files:
         return sweep
     with _unpacking:
-        if sweep.identity not in _places:
-            _places[sweep.identity] = _written(sweep.files)
-    places = _places[sweep.identity]
-    moved = {key: {name: _moved(fmu, places) for name, fmu in each.items()} for key, each in sweep.fmus.items()}
-    return replace(sweep, fmus=moved, files={})
+        if sweep.name not in _found:
+            _keep_memory()
+            places = _written(sweep.files)
+            _found[sweep.name] = {
+                key: {name: _moved(fmu, places) for name, fmu in each.items()} for key, each in sweep.fmus.items()
+            }
+    return replace(sweep, fmus=_found[sweep.name], files={})
 
 
 _unpacking = threading.Lock()
-_places: dict[str, dict[str, Path]] = {}  # where the files of a sweep are, by its identity
+_found: dict[str, Mapping[str, dict[str, Fmu]]] = {}  # the FMUs of a sweep on this machine, by its name
 _folders: list[TemporaryFolder] = []  # which live as long as the process
+
+
+def _keep_memory() -> None:
+    """Let the C library keep what a run frees for the next one, as it does by itself.
+
+    Dask tells its workers to give memory back at once (MALLOC_TRIM_THRESHOLD_), so that each array of a run is mapped and cleared
+    by the system: a chunk takes half as long again.
+    """
+    if sys.platform != "linux":
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of the GNU C library
+    if mallopt is not None:
+        mallopt(MMAP_THRESHOLD, LARGEST_KEPT)
+        mallopt(TRIM_THRESHOLD, 2 * LARGEST_KEPT)
 
 
 def _written(files: Mapping[str, bytes]) -> dict[str, Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import os
 import shlex
@@ -22,7 +23,7 @@ from bristle.fmus.host import Slave
 from bristle.harness.design import Design, design
 from bristle.harness.run import Options, run
 from bristle.harness.store import Store
-from bristle.harness.sweep import Means, Summary, prepare_sweep, run_chunk, run_sweep
+from bristle.harness.sweep import Means, Summary, packed, prepare_sweep, run_chunk, run_sweep
 from bristle.harness.sweep_report import Runs, Share, render, statistics, summary
 
 Maker = Callable[..., Path]
@@ -215,6 +216,44 @@ if __name__ == "__main__":
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=240)
     assert "DONE 64 False" in done.stdout, done.stderr[-3000:]
     assert table(Store(tmp_path / "local")).equals(table(Store(tmp_path / "cluster")))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the C library of Linux")
+def test_a_worker_of_dask_keeps_memory_from_run_to_run(path: Path) -> None:
+    """Dask starts workers with this variable; each array of a run is then new to the process, which shows as page faults."""
+    if not hasattr(ctypes.CDLL(None), "mallopt"):
+        pytest.skip("the C library is not that of GNU")
+    script = f"""
+import resource
+from pathlib import Path
+from bristle.harness.design import design
+from bristle.harness.run import Options
+from bristle.harness.sweep import packed, prepare_sweep, run_chunk
+def faults(sweep):
+    run_chunk(sweep, points)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    run_chunk(sweep, points)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+asked = design({VARY!r}, samples=2)
+points = list(asked.points())
+sweep = prepare_sweep(Path({str(path)!r}), asked, Options(overrides=("duration=20 s",)))
+print(faults(sweep), faults(packed(sweep)))
+"""
+    environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment)
+    here, on_a_worker = map(int, done.stdout.split())
+    assert on_a_worker < here / 5
+
+
+def test_a_worker_reads_the_fmus_of_a_sweep_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = design(VARY, samples=2)
+    shipped, points = packed(prepare_sweep(path, asked, Options())), list(asked.points())
+    expected = run_chunk(shipped, points[:2])
+    monkeypatch.setattr("bristle.harness.sweep.Fmu", None)  # what reads one again fails
+    again = run_chunk(shipped, points[:2])
+    assert [row | {"wall_s": 0} for row in again] == [row | {"wall_s": 0} for row in expected]
+    assert {row["verdict"] for row in again} == {"pass"}
 
 
 # -- the report ----------------------------------------------------------------------------------------------------------
