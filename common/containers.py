@@ -148,8 +148,13 @@ def _zip_size(stream: BinaryIO) -> tuple[int, int]:
 # -- Parquet and spreadsheets --------------------------------------------------------------------------------------------
 def read_parquet(path: Path) -> Columns:
     """Return the columns of numbers and timestamps of a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise BristleError(
+            f"record {path}: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it as CSV"
+        ) from None
 
     with path.open("rb") as stream:
         file = pq.ParquetFile(stream)

@@ -16,14 +16,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.dataset
-import pyarrow.parquet as pq
-
 from bristle.common.cache import digest
 from bristle.common.errors import BristleError
 from bristle.common.output import replace_file, to_json
 from bristle.common.work import TemporaryFolder
+
+try:
+    import pyarrow as pa
+    import pyarrow.dataset
+    import pyarrow.parquet as pq
+except ImportError:
+    raise BristleError("store of a sweep: needs pyarrow; run: pip install 'bristle[parquet]'") from None
 
 SWEEPS, RUNS = "sweeps", "runs"  # folders of a store
 ERROR_VERDICT = "error"

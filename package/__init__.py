@@ -168,8 +168,8 @@ def sweep(
     Raises
     ------
     BristleError
-        If the scenario cannot be run with one of the values, or the store has runs and `resume` is not given. A run that fails is
-        no error.
+        If the scenario cannot be run with one of the values, the store has runs and `resume` is not given, or pyarrow is not
+        installed (``pip install 'bristle[parquet]'``). A run that fails is no error.
     """
     from bristle.harness.catalogue import find_scenario
     from bristle.harness.design import SAMPLINGS, design

@@ -1,6 +1,8 @@
 """`bristle sweep`, `query` and `report`: exit codes, what is printed, what is written."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
@@ -80,3 +82,29 @@ def test_mistakes_are_lines_and_write_nothing(call, scenario, tmp_path):
         code, _, err = call(command, tmp_path / "nothing", *(["SELECT 1"] if command == "query" else []))
         assert code == 2
         assert "no store, or one without runs" in err
+
+
+WITHOUT = """
+import sys
+sys.modules["pyarrow"] = None
+from bristle.cli.main import main
+main()
+"""
+
+
+def without_pyarrow(*arguments):
+    return subprocess.run([sys.executable, "-c", WITHOUT, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("words", ["sweep quick --seeds 1-2 --out store", "query store SELECT", "report store"])
+def test_without_pyarrow_a_store_is_one_line(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    done = without_pyarrow(*words.split())
+    said = "bristle: store of a sweep: needs pyarrow; run: pip install 'bristle[parquet]'\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", said)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_pyarrow_a_scenario_runs(scenario, tmp_path):
+    done = without_pyarrow("run", scenario, "--out", tmp_path / "out")
+    assert (done.returncode, done.stdout.split()[:2]) == (0, ["one", "pass"]), done.stderr

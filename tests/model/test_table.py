@@ -1,6 +1,7 @@
 """Tables: all formats give the same numbers, fast, and a bad file is one line that says where."""
 
 import os
+import sys
 import time
 
 import numpy as np
@@ -134,6 +135,12 @@ def test_a_missing_value_of_parquet_is_nan(tmp_path):
 
     pq.write_table(pa.table({"u": [1, None, 3]}), tmp_path / "r.parquet")
     np.testing.assert_array_equal(read_columns(tmp_path / "r.parquet")["u"], [1.0, np.nan, 3.0])
+
+
+def test_parquet_without_pyarrow_says_how_to_get_it(tmp_path, monkeypatch, message):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    said = message(lambda: read_columns(tmp_path / "r.parquet"))
+    assert said.endswith("r.parquet: Parquet needs pyarrow; run: pip install 'bristle[parquet]', or save it as CSV")
 
 
 @pytest.mark.parametrize(
