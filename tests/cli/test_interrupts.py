@@ -47,6 +47,14 @@ def interrupted(folder: Path, module: str, arguments: Sequence[str], number: int
     assert sorted(os.listdir(folder)) == before
 
 
+def test_little_is_imported_before_ctrl_c_is_handled() -> None:
+    script = "import sys; before = set(sys.modules); import bristle.cli.main; print(*sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    tops = {name for name in done.stdout.split() if name.partition(".")[0] not in sys.stdlib_module_names}
+    common = {"bristle.common", "bristle.common.arguments", "bristle.common.errors"}
+    assert tops - common == {"bristle", "bristle.cli", "bristle.cli.main"}
+
+
 @pytest.mark.parametrize("module", ["bristle.cli.commands", "typer", "bristle.cli.commands.check"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_during_the_first_imports(case: Path, tmp_path: Path, module: str, number: int) -> None:
