@@ -163,6 +163,11 @@ def is_packaged(what: str, variant: str) -> bool:
     return variant not in (laws() if what == "plant" else methods())
 
 
+def plugins_of(what: str) -> bool:
+    """True if plug-in folders have laws or methods: the FMU of all is compiled anew, for a minute, after each change of one."""
+    return bool(plugin_files(VARIANT_KIND[what], ".py"))
+
+
 def nothing(_content: Mapping[str, bytes]) -> Mapping[str, bytes]:
     """Return no files to add: to an FMU that is run here and now, or gets them later."""
     return {}

@@ -106,14 +106,15 @@ def find_fmus(loaded: Loaded, fmi: int = 2, kind: Kind = "native") -> dict[str, 
 
 
 def _own(loaded: Loaded, name: str, part: Part, fmi: int, kind: Kind) -> Fmu:
-    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or is of an installed package."""
-    from bristle.fmus.build import is_packaged, obtain
+    """Return an FMU of bristle: of all laws or methods, or of one alone if it has effects or there are some from outside."""
+    from bristle.fmus.build import is_packaged, obtain, plugins_of
 
     selector = SELECTOR_PARAMETERS.get(name, "")
     choice: str | None = getattr(part, selector, None)
     effects = part.effects if isinstance(part, Plant) else []
     packaged = choice is not None and is_packaged(name, choice)
-    if not packaged and not effects:
+    alone = packaged or (choice is not None and plugins_of(name))
+    if not alone and not effects:
         return Fmu(obtain(name, fmi=fmi, kind=kind))
     try:
         law, method = (choice if selector == option else None for option in ("law", "method"))
