@@ -57,10 +57,19 @@ def tree() -> dict[str, Any]:
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def search_among(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Return what lets the search try the named effects alone."""
+
+    def restrict(*names: str) -> None:
+        monkeypatch.setattr(stepwise, "all_effects", lambda: {name: effects()[name] for name in names})
+
+    return restrict
+
+
+@pytest.fixture
+def few(search_among: Callable[..., None]) -> None:
     """Search among a quarter of the effects, where which of them explains most is not what is tested."""
-    kept = ("gravity", "bias", "stribeck", "quadratic_drag", "input_delay", "gain_asymmetry")
-    monkeypatch.setattr(stepwise, "all_effects", lambda: {name: effects()[name] for name in kept})
+    search_among("gravity", "bias", "stribeck", "quadratic_drag", "input_delay", "gain_asymmetry")
 
 
 @pytest.fixture

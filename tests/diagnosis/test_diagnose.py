@@ -134,8 +134,10 @@ def test_the_command_line_writes_all_files_or_none(
     tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    search_among: Callable[..., None],
 ) -> None:
     """Older files stay until all new ones are complete; what was named is in all of them."""
+    search_among("cogging", "gravity", "bias", "stribeck", "position_friction")
     out, move, ready = tmp_path / "out", os.replace, []
     out.mkdir()
     (out / "diagnosis.json").write_text("older")

@@ -74,6 +74,7 @@ def test_effects_of_the_fmu_are_not_named_and_its_wrong_parameter_is_reported(tr
     assert "agrees" not in found.statement[0]
 
 
+@pytest.mark.usefixtures("few")
 @pytest.mark.slow
 def test_an_fmu_outside_the_bounds_of_the_model_is_followed_there(model, records):
     found = diagnose_fmu(obtain("plant", law="coulomb", parameters=SERVO | {"J": 0.15, "a2": 0.3}), model, records("gravity"))
@@ -81,6 +82,7 @@ def test_an_fmu_outside_the_bounds_of_the_model_is_followed_there(model, records
     assert found.model.parameters["J"] == pytest.approx(0.15, rel=0.01)
 
 
+@pytest.mark.usefixtures("few")
 def test_an_input_in_another_unit_is_reported(model, records):
     found = diagnose_fmu(obtain("plant", law="coulomb", parameters=SERVO | {"b": 0.5}), model, records())
     said(found, "is in V, that of the records in N.m", "given their numbers")
