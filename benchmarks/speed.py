@@ -64,10 +64,11 @@ def plain_library(parts: dict[str, tuple[Program, str]]) -> ctypes.CDLL:
     sources = {"plain.c": Path(__file__).with_name("plain.c").read_text(encoding="utf-8")}
     for name, (program, _) in parts.items():
         text = c_sources(program)
-        rename = "".join(f"#define {x} {name}_{x}\n" for x in [*(f"core_{s}" for s in CORE_FUNCTIONS), "VARIANTS", "START"])
-        for unit in ("core", "model"):
-            body = text[f"{unit}.c"].replace('#include "core.h"', f'{rename}#include "{name}_core.h"')
-            sources[f"{name}_{unit}.c"] = body
+        variants = [f"VARIANT_{variant.system.name}" for variant in program.variants]
+        own = [*(f"core_{function}" for function in CORE_FUNCTIONS), "VARIANTS", "START", *variants]
+        rename = "".join(f"#define {x} {name}_{x}\n" for x in own)
+        for unit in (file for file in text if file.endswith(".c")):
+            sources[f"{name}_{unit}"] = text[unit].replace('#include "core.h"', f'{rename}#include "{name}_core.h"')
         sources[f"{name}_core.h"] = text["core.h"].replace("model.h", f"{name}_model.h")
         sources[f"{name}_model.h"] = text["model.h"]
     key = digest(*FLAGS, compiler_identity(), *(text for pair in sorted(sources.items()) for text in pair))

@@ -10,7 +10,9 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -88,6 +90,8 @@ class Toolchain:
     flags: tuple[str, ...] = ()
 
 
+_watched: set[int] = set()  # pipes of the compilers that run; each ends with its pipe
+_ending = threading.Lock()
 _toolchains: list[Toolchain] = []  # the last one is in use
 
 
@@ -204,6 +208,7 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
     if sys.platform == "win32":
         return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=TIMEOUT)
     watched, held = os.pipe()
+    _watched.add(held)
     try:
         with subprocess.Popen(
             ["/bin/sh", "-c", WATCHED, "sh", *command], stdin=watched, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -212,10 +217,19 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
             try:
                 said, complained = process.communicate(timeout=TIMEOUT)
             finally:
-                os.close(held)
+                _end(held)
         return subprocess.CompletedProcess(command, process.returncode, said, complained)
     finally:
+        _end(held)
         os.close(watched)
+
+
+def _end(pipe: int) -> None:
+    """Let go of the pipe that a compiler lives by, if nobody has: it ends, unless it is done."""
+    with _ending:
+        if pipe in _watched:
+            _watched.remove(pipe)
+            os.close(pipe)
 
 
 @contextmanager
@@ -242,21 +256,37 @@ def compile_shared(sources: Mapping[str, str], out: Path, target: Target = HOST)
     """Compile C sources (file name -> text) into the shared library `out`.
 
     A unit is compiled once and kept in the cache by the text of all that it includes: the FMUs of both versions and the program
-    in this process share the equations, which take nearly all the time. Each run of the compiler is in a folder of its own with
-    relative names only, so that the result does not depend on where it is.
+    in this process share the equations, which take nearly all the time. Several are compiled at a time, each in a folder of its own
+    with relative names only, so that the result does not depend on where it is.
 
     Raises
     ------
     BristleError
         If the compiler fails; the first line of its error output is in the message.
     """
+    units = sorted(file for file in sources if file.endswith(".c"))
     with _building(out) as folder:
-        objects = []
-        for unit in sorted(file for file in sources if file.endswith(".c")):
-            files = {unit: sources[unit]} | _included(sources[unit], sources, {})
-            made_by = (*target.flags(), compiler_identity(target.triple))
-            key = digest(*made_by, *(text for file in sorted(files.items()) for text in file))
-            made = cached(f"{Path(unit).stem}-{key[:24]}.o", partial(_compile_unit, unit, files, target))
-            objects.append(f"{Path(unit).stem}.o")
-            shutil.copyfile(made, folder / objects[-1])
+        for unit, made in zip(units, _each_of(partial(_made, sources, target), units), strict=True):
+            shutil.copyfile(made, folder / f"{Path(unit).stem}.o")
+        objects = [f"{Path(unit).stem}.o" for unit in units]
         _compiler(target.triple, ["-shared", "-s", *objects, *target.link_flags(out.stem), "-o", "result"], folder)
+
+
+def _made(sources: Mapping[str, str], target: Target, unit: str) -> Path:
+    """Return the object file of a unit, from the cache or compiled."""
+    files = {unit: sources[unit]} | _included(sources[unit], sources, {})
+    made_by = (*target.flags(), compiler_identity(target.triple))
+    key = digest(*made_by, *(text for file in sorted(files.items()) for text in file))
+    return cached(f"{Path(unit).stem}-{key[:24]}.o", partial(_compile_unit, unit, files, target))
+
+
+def _each_of(make: Callable[[str], Path], units: Sequence[str]) -> list[Path]:
+    """Return the results for all units, as many at a time as there are cores; raise the first error if some fail."""
+    with ThreadPoolExecutor(os.cpu_count() or 1, "compilers") as pool:
+        try:
+            return list(pool.map(make, units))
+        except (KeyboardInterrupt, SystemExit):  # they would be waited for
+            pool.shutdown(wait=False, cancel_futures=True)
+            for pipe in tuple(_watched):
+                _end(pipe)
+            raise

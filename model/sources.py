@@ -1,4 +1,4 @@
-"""A program as C sources: generated model.h and model.c beside the fixed core.h and core.c, or lanes.h and lanes.c."""
+"""A program as C sources: generated model.h, model.c and a file a variant beside core.h and core.c; or one for lanes."""
 
 from __future__ import annotations
 
@@ -110,17 +110,25 @@ def _fixed(*names: str) -> dict[str, str]:
 
 
 def c_sources(program: Program) -> dict[str, str]:
-    """Return file name -> text of all C sources that the program needs to run without this library."""
-    body = [f"/* {program.name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
-    entries = []
-    for variant in program.variants:
-        body += [emit_c(kernel) for kernel in variant.kept().values()]
+    """Return file name -> text of all C sources that the program needs to run without this library.
+
+    Each variant is a file of its own, so that a compiler works at several of them at a time.
+    """
+    sources = {"model.h": _header(program), **_fixed("core.h", "core.c")}
+    names = [variant.system.name for variant in program.variants]
+    for name, variant in zip(names, program.variants, strict=True):
         tables, entry = _variant(variant)
-        body.append(tables)
-        entries.append(entry)
-    body.append("const Variant VARIANTS[N_VARIANTS] = {\n" + ",\n".join(entries) + "\n};")
-    body.append("const double START[N_V] = {" + ", ".join(repr(float(x)) for x in program.starts) + "};\n")
-    return {"model.h": _header(program), "model.c": "\n".join(body), **_fixed("core.h", "core.c")}
+        kernels = [emit_c(kernel) for kernel in variant.kept().values()]
+        head = [f"/* {program.name}, {name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
+        sources[f"model_{name}.c"] = "\n".join([*head, *kernels, tables, f"const Variant VARIANT_{name} =\n{entry};\n"])
+    table = ", ".join(f"&VARIANT_{name}" for name in names)
+    start = ", ".join(repr(float(x)) for x in program.starts)
+    sources["model.c"] = "\n".join([
+        f"/* {program.name}: its variants, and what variables start from (generated) */", '#include "core.h"', "",
+        *(f"extern const Variant VARIANT_{name};" for name in names),
+        f"const Variant *const VARIANTS[N_VARIANTS] = {{{table}}};", f"const double START[N_V] = {{{start}}};", "",
+    ])  # fmt: skip
+    return sources
 
 
 def lanes_sources(program: Program) -> dict[str, str]:

@@ -92,14 +92,17 @@ def level_rows(results: Sequence[dict[str, Any]]) -> str:
     """Return the lines of the table."""
 
     def row(what: str, expected: str, hits: int) -> str:
-        low, high = binomtest(hits, len(results)).proportion_ci(0.95, "exact")
-        return f"| {what} | {expected} | {hits} of {len(results)} ({100 * hits / len(results):.1f} %) | {100 * low:.1f} to {100 * high:.1f} % |"
+        low, high = (100 * end for end in binomtest(hits, len(results)).proportion_ci(0.95, "exact"))
+        share = 100 * hits / len(results)
+        return f"| {what} | {expected} | {hits} of {len(results)} ({share:.1f} %) | {low:.1f} to {high:.1f} % |"
 
     lines = [
         row(f"an effect above the level of 1 in {1 / chance:.0f}", f"{100 * chance:g} %", sum(r["above"][k] for r in results))
         for k, chance in enumerate(CHANCES)
     ]
-    return "\n".join([*lines, row("an effect named", f"at most {100 * FALSE_ALARM_RATE:g} %", sum(bool(r["named"]) for r in results))])
+    return "\n".join(
+        [*lines, row("an effect named", f"at most {100 * FALSE_ALARM_RATE:g} %", sum(bool(r["named"]) for r in results))]
+    )
 
 
 def main() -> None:

@@ -72,15 +72,15 @@ def main() -> None:
 
 WALL_PAGE = """# How long a diagnosis takes
 
-`python benchmarks/blind/wall.py`: wall time of `diagnose` on a machine with {cores} cores, over cases of the blind generator (two records of
-20 s at 1 kHz each), one after the other. Goals: a median of 5 s, and at most 60 s.
+`python benchmarks/blind/wall.py`: wall time of `diagnose` on a machine with {cores} cores, over cases of the blind generator (two
+records of 20 s at 1 kHz each), one after the other. Goals: a median of 5 s, and at most 60 s.
 
 | cases | number | median [s] | 90 % within [s] | longest [s] | at most 60 s |
 |---|---|---|---|---|---|
 {rows}
 
-All programs had been compiled: each case was diagnosed twice, and the second time counts. The first time, in which each new combination of
-model and effects is compiled, the median was {first:.1f} s; the first case of all took longest.
+All programs had been compiled: each case was diagnosed twice, and the second time counts. The first time, in which each new
+combination of model and effects is compiled, the median was {first:.1f} s; the first case of all took longest.
 """
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,7 @@ def _parts(segments: Segments, longest: int) -> Iterator[tuple[float, int, int, 
     for piece in segments.pieces:
         count = len(piece.measured)
         ends = [round(x) for x in np.linspace(0, count, math.ceil(count / longest) + 1)]
-        for begin, end in zip(ends[:-1], ends[1:], strict=True):
+        for begin, end in pairwise(ends):
             first = max(begin - 1, 0)
             yield piece.time + first * segments.seconds, offset + first, offset + begin, offset + end
         offset += count

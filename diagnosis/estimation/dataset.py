@@ -180,7 +180,7 @@ def motion(segments: Segments, outputs: list[Array], resolution: float, half: fl
     return Motion(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dataset:
     """Everything that stays the same during a search."""
 

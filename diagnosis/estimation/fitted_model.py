@@ -26,7 +26,7 @@ LARGE_DISTURBANCE = 0.15  # of the input's torque, rms: a larger disturbance hin
 TIE_NATS = 6.0  # nats: fits closer than this are a tie
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FittedModel:
     """A servo fitted, with the problem it was fitted under."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -183,6 +184,7 @@ def _predicted(response: ResidualResponse, basis: Array, live: NDArray[np.int_],
     return gain, float(outer @ gram @ outer - np.sum(chance * gram))
 
 
+@lru_cache(maxsize=1)  # a search ends where nothing is left of a residual, which the answer then shows
 def _localised(fitted: FittedModel, dataset: Dataset) -> tuple[list[Share], Array, ResidualResponse]:
     """Return what each view predicts of a residual, the torque behind it (samples,) [N.m], and the response it comes from."""
     response = ResidualResponse(fitted, dataset)

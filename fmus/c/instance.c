@@ -506,7 +506,7 @@ int state_deserialise(Instance *s, const char *who, const void *bytes, size_t si
 
 /* -- model exchange ---------------------------------------------------------------------------------------------- */
 
-static const Variant *variant_of(const Instance *s) { return &VARIANTS[s->now.core.variant]; }
+static const Variant *variant_of(const Instance *s) { return VARIANTS[s->now.core.variant]; }
 
 static int require_states(const Instance *s, const char *who, const double x[], size_t n)
 {

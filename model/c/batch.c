@@ -32,7 +32,7 @@ EXPORT long long batch_run(Core *c, long long n, double h, int n_inputs, const i
 {
 #if N_SENSITIVITIES
     double s[N_X * N_SENSITIVITIES + 1] = {0.0};
-    const int width = VARIANTS[c->variant].n_states * N_SENSITIVITIES;
+    const int width = VARIANTS[c->variant]->n_states * N_SENSITIVITIES;
 #endif
     *code = CORE_OK;
     for (long long k = 0;; k++) {

@@ -9,7 +9,7 @@ void core_defaults(Core *c)
     memcpy(c->v, START, sizeof c->v);
 }
 
-static const Variant *variant_of(const Core *c) { return &VARIANTS[c->variant]; }
+static const Variant *variant_of(const Core *c) { return VARIANTS[c->variant]; }
 
 /* The index decides unless it is 0; that the two do not contradict each other is for the host's side to check. */
 int core_derive(Core *c)

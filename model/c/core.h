@@ -30,7 +30,7 @@ typedef struct {
 
 enum { CORE_OK, CORE_CAP, CORE_NONFINITE, CORE_STIFF, CORE_STEP, CORE_VARIANT };
 
-extern const Variant VARIANTS[N_VARIANTS];
+extern const Variant *const VARIANTS[N_VARIANTS];
 extern const double START[N_V];
 
 void core_defaults(Core *c);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -23,7 +24,7 @@ import signal, sys
 from pathlib import Path
 from bristle.model.compiler import compile_shared
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(3))
-compile_shared({"f.c": "int f(void);"}, Path("f.so"))
+compile_shared({"f.c": "int f(void);", "g.c": "int g(void);", "h.c": "int h(void);"}, Path("f.so"))
 """
 
 
@@ -76,6 +77,22 @@ def test_a_compiler_that_takes_too_long_is_ended(endless: Path, tmp_path: Path, 
         compile_shared({"f.c": "int f(void);"}, tmp_path / "f.so")
     wait_until(lambda: not running(endless))
     assert not list(tmp_path.glob("f.so*"))
+
+
+def test_units_are_compiled_side_by_side_and_the_first_error_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of two compilers waits for the other: one after the other would never end."""
+    compilers, real = tmp_path / "both", find_compiler()[0]
+    wait = f"while [ $(ls {tmp_path}/begun.* | wc -l) -lt 2 ]; do sleep 0.05; done"
+    compilers.write_text(f'#!/bin/sh\ncase "$*" in *-shared*) ;; *) touch {tmp_path}/begun.$$; {wait} ;; esac\nexec {real} "$@"\n')
+    compilers.chmod(0o755)
+    monkeypatch.setenv("BRISTLE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(compiler.os, "cpu_count", lambda: 2)
+    with compiler.compiled_with(compiler.Toolchain("both", (str(compilers),))):
+        compile_shared({"f.c": "int f(void) { return 1; }\n", "g.c": "int g(void) { return 2; }\n"}, tmp_path / "both.so")
+        assert ctypes.CDLL(str(tmp_path / "both.so")).g() == 2
+        with pytest.raises(BristleError, match="'missing' undeclared"):
+            compile_shared({"f.c": "int f(void) { return missing; }\n", "g.c": "int g(void) { return 3; }\n"}, tmp_path / "no.so")
+    assert not list(tmp_path.glob("no.so*"))
 
 
 def test_no_descriptor_stays_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
