@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.table import Array
-from bristle.diagnosis.estimation.chains import Chains, chains_of
-from bristle.diagnosis.estimation.dataset import Segments
+from bristle.diagnosis.estimation.dataset import Chains, Segments, chains_of
 from bristle.model.lanes import Lanes
 from bristle.model.native import pointer
 from bristle.model.program import Program

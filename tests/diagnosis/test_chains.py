@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.diagnosis.estimation import chains
-from bristle.diagnosis.estimation.chains import NARROW, WIDE, chains_of
-from bristle.diagnosis.estimation.dataset import Grid, Segments, cut
+from bristle.diagnosis.estimation import dataset
+from bristle.diagnosis.estimation.dataset import NARROW_LANES, WIDE_LANES, Grid, Segments, chains_of, cut
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator
 from bristle.diagnosis.preparation import fixed_values
 
@@ -40,7 +39,7 @@ def servo(segments: Segments, effects: tuple[str, ...] = ("disturbance_step",)) 
 def test_each_segment_is_simulated_once_after_the_one_before_it(counts):
     segments = records(*counts)
     groups = chains_of(segments)
-    assert {len(group.first) for group in groups} <= {NARROW, WIDE}
+    assert {len(group.first) for group in groups} <= {NARROW_LANES, WIDE_LANES}
     written = np.concatenate([np.arange(b, e) for g in groups for b, e in zip(g.begin, g.end, strict=True)])
     assert written.tolist() == list(range(sum(counts)))
     starts = np.cumsum([0, *counts[:-1]])
@@ -59,7 +58,7 @@ def test_long_records_are_cut_and_short_ones_are_not():
     [cut_up] = chains_of(records(50, 50))
     assert max(cut_up.end - cut_up.first) == 14
     [whole] = chains_of(records(2, 2))
-    assert len(whole.first) == NARROW
+    assert len(whole.first) == NARROW_LANES
 
 
 def test_records_of_a_velocity_stay_whole():
@@ -76,9 +75,9 @@ def test_parts_of_a_record_give_what_the_whole_record_gives(effects, monkeypatch
     values = VALUES | ({"input_delay.delay": 0.006} if "input_delay" in effects else {})
     starts = segments.initial + np.array([0.0, 0.5])
     parts = servo(segments, effects).run(values, starts, jacobian=True)
-    monkeypatch.setattr(chains, "WIDE_COST", 1e9)
+    monkeypatch.setattr(dataset, "WIDE_COST", 1e9)
     whole = servo(segments, effects).run(values, starts, jacobian=True)
-    assert [len(g.first) for g in chains_of(segments)] == [NARROW]
+    assert [len(g.first) for g in chains_of(segments)] == [NARROW_LANES]
     assert whole[2].all()
     for found, expected in zip(parts, whole, strict=True):
         assert found is not None
