@@ -27,7 +27,7 @@ INERT_GAIN = (-20.0, 2.0)  # nats: predicted gain of an effect that has no influ
 CONTACT_DEFICIT = 1000.0  # nats: a contact that is predicted to stay this far below the model without it is not refitted
 WAVE_STARTS = 8  # start values of a searched frequency that are refitted where the model fits poorly
 LOAD_STARTS_TRIED = 8  # start values of a contact whose load is initialised before they are compared
-HOPEFUL_LEVELS = 0.6  # of the null's level: least predicted gain of a candidate that is refitted to the end
+HOPEFUL_LEVELS = 0.2  # of the null's level: least predicted gain of a candidate that is refitted to the end
 MOST_REFITTED = 6  # most candidates that are refitted to the end
 FOLLOWED_SHARE = 0.1  # of the best predicted gain: least of one that is refitted to the end
 
@@ -183,7 +183,7 @@ def _null(context: SearchContext, tried: Sequence[Candidate]) -> Null:
     assert best.fit is not None
     white = rescored(context.fitted.problem, best.fit).white
     residual = context.response.freed(white[:, :, None])[:, :, 0]
-    return largest_gain({c.name: c.directions for c in fitted}, residual, context.fit.weight)
+    return largest_gain({c.name: c.directions for c in fitted}, residual, context.fit.weight).after_refits()
 
 
 # -- start values --------------------------------------------------------------------------------------------------------

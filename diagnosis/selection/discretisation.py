@@ -6,8 +6,7 @@ from bristle.diagnosis.estimation.likelihood import Fit, Point, Problem, evaluat
 from bristle.diagnosis.estimation.optimiser import maximise
 
 STEP_SHARE = 0.2  # of a gain: largest change with the step of the simulation
-LASTING_LEVELS = 3.0  # times the null's level: a gain that is still larger with finer steps is real,
-LASTING_SHARE = 0.5  # if it is also at least this share of the gain with usual steps
+LASTING_SHARE = 0.5  # of a gain: least that is left with finer steps
 FINE_REFIT_STEPS = 4  # steps of the refit where finer steps of the simulation move the optimum
 
 
@@ -31,8 +30,8 @@ def steady(gain: float, finer: float) -> bool:
 
 
 def numerical(gain: float, finer: float, level: float) -> bool:
-    """True if a gain falls with finer steps of the simulation to less than half, or to near the null's `level` (all in nats).
+    """True if a gain falls with finer steps of the simulation to less than half, or below the null's `level` (all in nats).
 
     Contacts occur at other moments with each step size, which changes a gain but does not take most of it away.
     """
-    return finer < (1 - STEP_SHARE) * gain and (finer < LASTING_LEVELS * level or finer < LASTING_SHARE * gain)
+    return finer < (1 - STEP_SHARE) * gain and (finer < level or finer < LASTING_SHARE * gain)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ REPLICATES = 1999  # draws of random signs
 TYPICAL_QUANTILE = 0.95  # quantile of a candidate's own chance gain that is subtracted before candidates are compared
 SCORE_CLIP = 3.0  # standard deviations: largest score of one segment
 FALSE_ALARM_RATE = 0.002  # share of searches in which chance alone brings some candidate above its level
+REFIT_FACTOR = 4.0  # refits from several starts gain so much more by chance than scores (benchmarks/results/level.md)
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,10 @@ class Null:
     draws: Array
     typical: Mapping[str, float]  # `TYPICAL_QUANTILE` of each candidate's gain by chance [nats]
     false_alarm_rate: float = FALSE_ALARM_RATE  # share of searches in which chance alone brings some candidate above its level
+
+    def after_refits(self) -> Null:
+        """Return the distribution of what refits of the candidates gain, from that of their scores."""
+        return replace(self, draws=REFIT_FACTOR * self.draws)
 
     def level(self, name: str) -> float:
         """Return the gain [nats] above which a candidate is accepted."""

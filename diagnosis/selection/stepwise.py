@@ -44,7 +44,7 @@ MOST_EFFECTS = 4  # most effects that are added
 STRUCTURE_P = 0.05  # p of a view of the residual up to which another round follows
 NATS_PER_PARAMETER = 3.3  # nats: least gain beyond the end of an interval that presses against it (1 % level of a likelihood ratio)
 NOT_EXHAUSTIVE = "effects were tried from their best start values only"
-CERTAIN_LEVELS = 30.0  # times the null's level: least gain of an effect with parameters that are hardly credible
+CERTAIN_LEVELS = 10.0  # times the null's level: least gain of an effect with parameters that are hardly credible
 
 
 @dataclass(frozen=True)
