@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import platform
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bristle.diagnosis.estimation import dataset
+from bristle.diagnosis.estimation import dataset, simulator
 from bristle.diagnosis.estimation.dataset import NARROW_LANES, WIDE_LANES, Grid, Segments, chains_of, cut
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES, Servo, Simulator
 from bristle.diagnosis.preparation import fixed_values
+from bristle.model import lanes
 
 H, WIDTH, BINS = 1e-3, 8, 50
 GRID = Grid(H, WIDTH, BINS, False)
@@ -111,3 +113,17 @@ def test_records_of_one_segment_with_one_average_can_be_simulated():
     seen, _, good, _ = servo(one).run(VALUES, piece.initial)
     assert good.all()
     assert np.isfinite(seen).all()
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="names processors of this kind")
+def test_a_processor_with_narrow_vectors_gives_the_same_digits(monkeypatch):
+    segments = records(24, 24)
+    own = servo(segments).run(VALUES, segments.initial, jacobian=True)
+    monkeypatch.setattr(lanes, "OWN_PROCESSOR", "-march=x86-64")
+    simulator._compiled.cache_clear()
+    try:
+        narrow = servo(segments).run(VALUES, segments.initial, jacobian=True)
+    finally:
+        simulator._compiled.cache_clear()
+    for found, expected in zip(narrow, own, strict=True):
+        np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
