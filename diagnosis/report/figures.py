@@ -467,7 +467,7 @@ def captions(diagnosis: Diagnosis) -> dict[str, tuple[str, str]]:
         "candidates": (
             "Gain of each candidate effect",
             f"Rise of the log-likelihood when the effect is added and all parameters are refitted, in nats ({NATS}). Shaded up "
-            "to the dashed line: gains that chance gives in all but two of a thousand diagnoses without a missing effect. "
+            "to the dashed line: gains that chance may give where no effect is missing. "
             "Blue: added; orange: tied; pale: neither.",
         ),
         "open_loop": (

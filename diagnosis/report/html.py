@@ -28,7 +28,6 @@ from bristle.diagnosis.report.text import (
     unnamed_line,
     view_name,
 )
-from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE
 from bristle.plant.effects import effects as all_effects
 from bristle.plant.wording import Wording
 
@@ -236,8 +235,7 @@ def _rounds(diagnosis: Diagnosis) -> str:
         rows.append(
             (str(k), _best(best, diagnosis.model.wording), number(each.null_level, 3), number(each.p, 2), escape(each.decision))
         )
-    level = f"gain exceeded by chance in 1 of {1 / FALSE_ALARM_RATE:.0f}, nats"
-    return table(("round", "best candidate", level, "p ≤", "decision"), rows, (2, 3)) if rows else ""
+    return table(("round", "best candidate", "gain that chance may give, nats", "p ≤", "decision"), rows, (2, 3)) if rows else ""
 
 
 def _best(candidate: Candidate | None, wording: Wording) -> str:
