@@ -27,7 +27,7 @@ def validate(
     model: Annotated[Path, typer.Argument(help="model file or plant FMU", metavar="MODEL.toml|PLANT.fmu", parser=path_of)],
     data: Annotated[list[Path], typer.Option(help="measured files or patterns", metavar="FILE...", parser=path_of)],
     out: Annotated[Path, typer.Option(help="folder for validation.json and report.html", metavar="FOLDER", parser=path_of)] = Path(
-        "out"
+        "out/validation"
     ),
     fmu: Annotated[
         Path | None,
