@@ -28,7 +28,7 @@ from shared import write_json
 from truth import RESOLUTION, Array
 
 from bristle.common.arguments import filled_path
-from bristle.diagnosis import load_model, load_records
+from bristle.diagnosis import Record, load_model, load_records, records_from_arrays
 from bristle.diagnosis.estimation.dataset import Piece, Segments
 from bristle.diagnosis.estimation.fitted_model import FittedModel
 from bristle.diagnosis.experiment.discrimination import disturbed
@@ -37,8 +37,6 @@ from bristle.diagnosis.preparation import dataset_of, prepare_model
 from bristle.diagnosis.selection.null_distribution import FALSE_ALARM_RATE, REFIT_FACTOR
 from bristle.diagnosis.selection.start_values import SearchOptions
 from bristle.diagnosis.selection.stepwise import search
-from bristle.records.intake import records_from_arrays
-from bristle.records.record import Record
 
 LEVEL_SEED = "level"
 FACTORS = (1.0, 2.0, 3.0, 4.0)  # times the quantile of the scores

@@ -19,7 +19,15 @@ from bristle.plant.effects import effects
 
 SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))["effects"]
 
-JUDGES = ("run.py", "oracle_search.py", "low_rate_records.py", "horizons.py", "experiments.py")  # they diagnose what others draw
+JUDGES = (
+    "run.py",
+    "oracle_search.py",
+    "low_rate_records.py",
+    "horizons.py",
+    "experiments.py",
+    "level.py",
+    "wall.py",
+)  # they diagnose what others draw
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "blind"
 BASE = {"J": 0.01, "a2": 0.02, "Fc": 0.12}
 STIFF = {**BASE, **base_friction(BASE["J"], BASE["Fc"])}

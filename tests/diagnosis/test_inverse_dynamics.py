@@ -71,7 +71,7 @@ def test_a_gain_may_change_a_little_with_the_step() -> None:
 
 
 def test_a_gain_is_numerical_if_it_vanishes_with_finer_steps() -> None:
-    assert numerical(100.0, 50.0, 20.0)
+    assert numerical(100.0, 60.0, 70.0)
     assert not numerical(100.0, 70.0, 20.0)  # still far above chance
     assert not numerical(100.0, 130.0, 50.0)  # finer steps show even more
     assert not numerical(100.0, 85.0, 50.0)
