@@ -118,7 +118,8 @@ def c_sources(program: Program) -> dict[str, str]:
     names = [variant.system.name for variant in program.variants]
     for name, variant in zip(names, program.variants, strict=True):
         tables, entry = _variant(variant)
-        kernels = [emit_c(kernel) for kernel in variant.kept().values()]
+        kept = variant.kept()
+        kernels = [emit_c(kept[kernel]) for kernel in KERNELS if kernel in kept]
         head = [f"/* {program.name}, {name}: the equations (generated) */", '#include "core.h"', "#include <math.h>", ""]
         sources[f"model_{name}.c"] = "\n".join([*head, *kernels, tables, f"const Variant VARIANT_{name} =\n{entry};\n"])
     table = ", ".join(f"&VARIANT_{name}" for name in names)

@@ -142,13 +142,12 @@ def chains_of(segments: Segments) -> list[Chains]:
     Where a velocity was measured records stay whole: no segment says where it begins, so the position is the sum of all before.
     """
     counts = [len(piece.measured) for piece in segments.pieces]
-    groups = math.ceil(len(counts) / WIDE_LANES)
-    longest = next(n for n in range(1, max(counts) + 1) if sum(math.ceil(count / n) for count in counts) <= WIDE_LANES * groups)
-    steps = groups * (longest + (longest < max(counts)))
-    if segments.velocity:
-        longest, steps = max(counts), groups * max(counts)
-    wide = WIDE_COST * steps < math.ceil(len(counts) / NARROW_LANES) * max(counts)
-    parts = list(_parts(segments, longest if wide else max(counts)))
+    groups, whole = math.ceil(len(counts) / WIDE_LANES), max(counts)
+    lengths = [whole] if segments.velocity else range(1, whole + 1)
+    longest = next(n for n in lengths if sum(math.ceil(count / n) for count in counts) <= WIDE_LANES * groups)
+    steps = groups * (longest + (longest < whole))
+    wide = WIDE_COST * steps < math.ceil(len(counts) / NARROW_LANES) * whole
+    parts = list(_parts(segments, longest if wide else whole))
     width = WIDE_LANES if wide else NARROW_LANES
     return [_together(parts[k : k + width], width) for k in range(0, len(parts), width)]
 

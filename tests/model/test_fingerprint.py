@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from bristle.model import sources
+from bristle.model.native import Native
 from bristle.model.program import Program
-from bristle.model.sources import c_sources, fingerprint
+from bristle.model.sources import c_sources, fingerprint, lanes_sources
 from bristle.observer import observer_program
 from bristle.plant.servo import servo_program
 
@@ -37,7 +38,8 @@ def described(text):
 @pytest.mark.parametrize("what", VARIED)
 def test_what_changes_the_sources_changes_the_fingerprint(what):
     program, other = built(), VARIED[what]()
-    assert c_sources(program) != c_sources(other)
+    sources_of = lanes_sources if what == "another output" else c_sources  # only lanes look at it
+    assert sources_of(program) != sources_of(other)
     assert fingerprint(program) != fingerprint(other)
 
 
@@ -118,3 +120,10 @@ def test_no_function_is_made_for_it(monkeypatch):
 
     monkeypatch.setattr(Program, "_kernels", never)
     fingerprint(built())
+
+
+def test_a_program_whose_output_is_differentiated_runs_alone_too():
+    """What only lanes call is not in its sources: an unused function would be refused."""
+    assert "seen_jacobian" not in c_sources(built())["model_coulomb.c"]
+    assert "seen_jacobian" in lanes_sources(built())["model.c"]
+    assert Native(built()).steps == 0
