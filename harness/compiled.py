@@ -184,9 +184,7 @@ class Compiled:
         """Say whether a watched value of one of several lanes went beyond `HUGE`."""
         return bool(self._diverged[lane])
 
-    def flags(self, lane: int) -> list[tuple[int, dict[Port, float]]]:
-        """Return what was read of the flags of a lane: row and values."""
+    def flags(self, lane: int) -> tuple[NDArray[np.int64], Array]:
+        """Return what was read of the flags of a lane: rows (readings,) and values (readings, flags)."""
         n = self.master.n_looks
-        found = self._looks[:n, lane * self._width : (lane + 1) * self._width].tolist()
-        rows = self._look_rows[:n].tolist()
-        return [(row, dict(zip(self.bus.flags, each, strict=True))) for row, each in zip(rows, found, strict=True)]
+        return self._look_rows[:n], self._looks[:n, lane * self._width : (lane + 1) * self._width]

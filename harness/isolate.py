@@ -10,7 +10,7 @@ import numpy as np
 
 from bristle.fmus.calls import Control
 from bristle.fmus.isolate import isolated
-from bristle.harness.loop import Bus, Failure, Progress, Trace, default_engine, simulate
+from bristle.harness.loop import Bus, Failure, Progress, Readings, Trace, default_engine, simulate
 
 
 def simulate_isolated(
@@ -35,23 +35,21 @@ def run_bus(bus: Bus, progress: Progress | None = None, timeout: float | None = 
 def _simulate(asked: tuple[Bus, str], control: Control) -> dict[str, Any]:
     bus, engine = asked
     trace = simulate(bus, engine=engine, control=control)
-    rows, flags = zip(*trace.flags, strict=True)
     return {
         "values": trace.values,
-        "rows": list(rows),
-        "flags": np.array([[found[port] for port in bus.flags] for found in flags], dtype=float),
+        "rows": trace.flags.rows.tolist(),
+        "flags": trace.flags.values,
         "failure": None if trace.failure is None else astuple(trace.failure),
     }
 
 
 def _trace(bus: Bus, answer: Any) -> Trace:
     """Return the trace of which `_simulate` answered the parts."""
-    values, flags = np.asarray(answer["values"], dtype=float), np.asarray(answer["flags"], dtype=float)
-    rows = [int(row) for row in answer["rows"]]
+    values, rows = np.asarray(answer["values"], dtype=float), np.array(answer["rows"], dtype=np.int64)
+    flags = np.asarray(answer["flags"], dtype=float).reshape(len(rows), len(bus.flags))
     if values.ndim != 2 or values.shape[1] != len(bus.record) or not 1 <= len(values) <= bus.steps + 1:
         raise ValueError(values.shape)
-    found = [(row, dict(zip(bus.flags, each.tolist(), strict=True))) for row, each in zip(rows, flags, strict=True)]
     failure = answer["failure"]
     if failure is not None:
         failure = Failure(str(failure[0]), float(failure[1]), str(failure[2]))
-    return Trace(bus.record, values, bus.h, found, failure, bus.start)
+    return Trace(bus.record, values, bus.h, Readings(bus.flags, rows, flags), failure, bus.start)

@@ -82,14 +82,39 @@ class Failure:
     message: str
 
 
+@dataclass(frozen=True)
+class Readings:
+    """What was read of flags now and then: `values` (readings, ports) at `rows` (readings,), the first at row 0."""
+
+    ports: tuple[Port, ...]
+    rows: NDArray[np.int64]
+    values: Array
+
+    @classmethod
+    def of(cls, ports: tuple[Port, ...], found: Sequence[tuple[int, Sequence[float]]]) -> Readings:
+        """Return readings given one after the other, as row and values."""
+        rows, values = np.array([row for row, _ in found], dtype=np.int64), np.array([each for _, each in found], dtype=float)
+        return cls(ports, rows, values.reshape(len(rows), len(ports)))
+
+    @cached_property
+    def last(self) -> dict[Port, float]:
+        """The last values, by port."""
+        return dict(zip(self.ports, self.values[-1].tolist(), strict=True))
+
+    def from_first_sample(self) -> Readings:
+        """Return them as belongs to a record, which has no row for the start."""
+        later = self.rows > 0
+        return Readings(self.ports, self.rows[later] - 1, self.values[later]) if later.any() else self
+
+
 @dataclass
 class Trace:
-    """What a run leaves behind: row k of `values` is the bus at start + k h; `flags` are (row, values), the first at row 0."""
+    """What a run leaves behind: row k of `values` is the bus at start + k h."""
 
     record: tuple[Port, ...]
     values: Array
     h: float
-    flags: list[tuple[int, dict[Port, float]]]
+    flags: Readings
     failure: Failure | None = None
     start: float = 0.0
 
@@ -111,19 +136,15 @@ class Trace:
 
     def flag(self, port: Port) -> Array:
         """Return a flag for each row: what was read next, at that row or after it."""
-        readings = self._readings.get(port)
-        return np.full(len(self.values), np.nan) if readings is None else np.repeat(readings, self._looked)
-
-    @cached_property
-    def _readings(self) -> dict[Port, Array]:
-        """Return what was read of each flag, in the order of time."""
-        columns = np.array([list(found.values()) for _, found in self.flags], dtype=float)
-        return dict(zip(self.flags[-1][1], columns.T, strict=True))  # all readings have the same flags in the same order
+        found = self.flags
+        if port not in found.ports:
+            return np.full(len(self.values), np.nan)
+        return np.repeat(found.values[:, found.ports.index(port)], self._looked)
 
     @cached_property
     def _looked(self) -> NDArray[np.int64]:
         """Return how many rows each reading of the flags stands for."""
-        ends = np.minimum([row + 1 for row, _ in self.flags], len(self.values))
+        ends = np.minimum(self.flags.rows + 1, len(self.values))
         ends[-1] = len(self.values)
         return np.diff(ends, prepend=0)
 
@@ -132,8 +153,7 @@ class Trace:
         if not self.steps:
             return self
         scales = np.array([factors[port] for port in self.record])
-        flags = [(row - 1, found) for row, found in self.flags if row] or self.flags
-        return Trace(self.record, self.values[1:] * scales, self.h, flags, self.failure)
+        return Trace(self.record, self.values[1:] * scales, self.h, self.flags.from_first_sample(), self.failure)
 
     @property
     def steps(self) -> int:
@@ -256,7 +276,7 @@ class Session:
             self.nodes = {instance.name: self._node(instance) for instance in bus.instances}
             self.values = np.zeros((bus.steps + 1, len(bus.record)))
             self.averaged = np.array([name in self.nodes[unit].inputs for unit, name in bus.record], dtype=bool)
-            self.flags: list[tuple[int, dict[Port, float]]] = []
+            self._looks: list[tuple[int, Sequence[float]]] = []
         except BaseException:
             self.close()
             raise
@@ -272,8 +292,9 @@ class Session:
         outputs = dict.fromkeys(variable for unit, variable in read if unit == name and variable not in inputs)
         return Node(slave, list(inputs), list(outputs))
 
-    def _read_flags(self) -> dict[Port, float]:
-        return {(unit, name): self.nodes[unit].slave.get_value(name) for unit, name in self.bus.flags}
+    def _look(self, row: int) -> None:
+        """Read the flags."""
+        self._looks.append((row, [self.nodes[unit].slave.get_value(name) for unit, name in self.bus.flags]))
 
     def _address(self, port: Port, _lane: int = 0) -> int:
         array, index = self.nodes[port[0]].place(port[1])
@@ -306,7 +327,7 @@ class Session:
         memory = Memory(units, self._address, self._worth, self._flag, self.values[None])
         compiled = Compiled([bus], memory, self.control, means)
         done, master = compiled.run(progress), compiled.master
-        self.flags = compiled.flags(0)
+        self._looks = list(zip(*compiled.flags(0), strict=True))
         if master.diverged_row >= 0:
             early = self._beyond(master.diverged_row, master.diverged_tap)
             return self._trace(early.time - bus.start, early)
@@ -332,7 +353,7 @@ class Session:
         for node in nodes.values():
             node.read()
         self._write_row(0, places)
-        self.flags = [(0, self._read_flags())]
+        self._look(0)
         while k < bus.steps and not self.control[1]:
             while events and events[0][0] <= k:
                 _, (unit, name), value = events.pop(0)
@@ -354,7 +375,9 @@ class Session:
                 early = self._diverged(max(1, k - bus.chunk + 1), k + 1)
                 if early is not None:
                     return self._trace(early.time - bus.start, early)
-                self._pause(k, progress, True)
+                self._look(k)
+                if progress:
+                    progress(k)
         return self._trace(k * bus.h)
 
     def _step_fmpy(self, step: int, places: Mapping[Port, tuple[Array, int]]) -> Failure | None:
@@ -412,15 +435,10 @@ class Session:
         unit, name = self.bus.record[column]
         return Failure(unit, float(self.bus.start + row * self.bus.h), f"|{name}| is beyond {HUGE:g}")
 
-    def _pause(self, done: int, progress: Progress | None, healthy: bool) -> None:
-        if healthy and self.bus.flags:
-            self.flags.append((done, self._read_flags()))
-        if progress:
-            progress(done)
-
     def _trace(self, time: float, failure: Failure | None = None) -> Trace:
         rows, self._sound = round(time / self.bus.h) + 1, failure is None
-        return Trace(self.bus.record, self.values[:rows], self.bus.h, self.flags, failure, self.bus.start)
+        flags = Readings.of(self.bus.flags, self._looks)
+        return Trace(self.bus.record, self.values[:rows], self.bus.h, flags, failure, self.bus.start)
 
 
 def simulate(

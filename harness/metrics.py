@@ -170,7 +170,7 @@ def true_values(trace: Trace, normal: Array | float = 1.0, load: Array | float =
     the plant's own.
     """
     out = {}
-    found = trace.flags[-1][1]
+    found = trace.flags.last
     for (unit, name), value in found.items():
         if unit != "plant" or name.endswith("_valid") or not name.startswith("true."):
             continue
@@ -215,13 +215,14 @@ def courses(trace: Trace, units: Mapping[str, str]) -> dict[str, Course]:
     It estimates what it ever called valid, or published as another number than 0, or with a standard deviation.
     """
     said, found = ("observer", "adapted"), {}
-    flags = trace.flags[-1][1]
+    flags = trace.flags.last
     adapted = bool(flags[said]) if said in flags else None
     for name in estimated_parameters(trace.record, flags):
         hat, sd, valid = (("observer", f"{name}_{what}") for what in ("hat", "sd", "valid"))
         said_valid = trace.flag(valid)
         if said_valid.any() or trace.says_something(hat) or trace.says_something(sd):
-            found[name] = Course(trace[hat], said_valid, trace.get(sd), adapted, units.get(name, "1"))
+            hats = np.ascontiguousarray(trace[hat])  # which is read several times
+            found[name] = Course(hats, said_valid, trace.get(sd), adapted, units.get(name, "1"))
     return found
 
 
@@ -240,9 +241,7 @@ def last_innovation(trace: Trace) -> float | None:
 def estimates_state(trace: Trace, name: str) -> bool:
     """Say whether the observer estimates a state: it has NAME_hat, and NAME_hat_valid, if it has that, is true at the end."""
     course = trace.get(("observer", f"{name}_hat"))
-    return (
-        course is not None and bool(np.isfinite(course[-1])) and trace.flags[-1][1].get(("observer", f"{name}_hat_valid"), 1.0) > 0
-    )
+    return course is not None and bool(np.isfinite(course[-1])) and trace.flags.last.get(("observer", f"{name}_hat_valid"), 1.0) > 0
 
 
 def state_errors(trace: Trace, truth: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, dict[str, Any]]:

@@ -15,7 +15,7 @@ from bristle.common.errors import BristleError
 from bristle.fmus.calls import Control
 from bristle.fmus.lanes import TIMING, Lanes, lanes_of
 from bristle.harness.compiled import Compiled, Memory, Unit, library
-from bristle.harness.loop import Array, Bus, Port, Trace
+from bristle.harness.loop import Array, Bus, Port, Readings, Trace
 from bristle.harness.plan import SELECTOR_PARAMETERS, Setup
 
 MOST_LANES = 8  # of the processors that are known
@@ -74,7 +74,9 @@ class Together:
         rows = compiled.run() + 1
         sound = [all(self.lanes[name].alive(k) for name in units) and not compiled.diverged(k) for k in range(len(buses))]
         return [
-            Trace(bus.record, self._values[k, :rows], bus.h, compiled.flags(k), None, bus.start) if sound[k] else None
+            Trace(bus.record, self._values[k, :rows], bus.h, Readings(bus.flags, *compiled.flags(k)), None, bus.start)
+            if sound[k]
+            else None
             for k in range(len(buses))
         ]
 

@@ -79,7 +79,7 @@ def truth(law: str) -> dict[str, float]:
         (Instance("plant", plant, {"law": plant.choices("law")[law]}),), 1, COMPENSATION_STEP,
         flags=tuple(("plant", name) for name in plant.variables if name.startswith("true.")),
     )  # fmt: skip
-    flags = simulate(bus).flags[-1][1]
+    flags = simulate(bus).flags.last
     return {name: flags["plant", f"true.{name}"] for name in OBSERVED if flags.get(("plant", f"true.{name}_valid"), 0.0)}
 
 
@@ -136,7 +136,7 @@ def follow(who: str, way: str, law: str, seed: int) -> Json:
     for k, speed in zip(begins, SPEEDS, strict=True):
         part = error[k + round(SETTLED_AFTER / h) : k + round(PHASE / h)]
         rms[f"{speed:g}"] = float(np.sqrt(np.mean(part**2)))
-    return {"rms": rms, "valid": [name for (_, name), value in trace.flags[-1][1].items() if value]}
+    return {"rms": rms, "valid": [name for (_, name), value in trace.flags.last.items() if value]}
 
 
 @cache

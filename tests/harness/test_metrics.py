@@ -13,13 +13,17 @@ from bristle.common.output import plain
 from bristle.fmus import obtain
 from bristle.fmus.host import Fmu
 from bristle.harness import metrics
-from bristle.harness.loop import Trace
+from bristle.harness.loop import Port, Readings, Trace
 from bristle.harness.metrics import Course
 from bristle.harness.scenario import Check
 
 TIME = np.arange(1001) * 0.01
 TRUE = np.full(1001, 4.0)
 SOUND = np.ones(1001)
+
+
+def readings(found: dict[Port, float]) -> Readings:
+    return Readings.of(tuple(found), [(0, list(found.values()))])
 
 
 def test_settling_of_an_exponential() -> None:
@@ -110,24 +114,24 @@ def test_an_estimate_that_is_never_valid_is_listed_and_one_that_a_method_does_no
     record = tuple(("observer", f"{name}_hat") for name in ("b", "c", "Fc"))
     values = np.column_stack([np.zeros(5), np.arange(5.0), np.zeros(5)])
     flags = {("observer", "b_valid"): 0.0, ("observer", "c_valid"): 0.0, ("observer", "Fc_valid"): 1.0}
-    found = metrics.courses(Trace(record, values, 1.0, [(0, flags)]), {"c": "1/rad"})
+    found = metrics.courses(Trace(record, values, 1.0, readings(flags)), {"c": "1/rad"})
     assert [(name, course.unit, course.valid[-1]) for name, course in found.items()] == [("c", "1/rad", 0.0), ("Fc", "1", 1.0)]
 
 
 def test_an_estimate_that_stays_0_is_listed_if_it_has_a_standard_deviation() -> None:
     record = (("observer", "b_hat"), ("observer", "c_hat"), ("observer", "b_sd"), ("observer", "c_sd"))
     values = np.column_stack([np.zeros((5, 2)), np.full(5, 1e9), np.zeros(5)])
-    found = metrics.courses(Trace(record, values, 1.0, [(0, {("observer", f"{name}_valid"): 0.0 for name in "bc"})]), {})
+    found = metrics.courses(Trace(record, values, 1.0, readings({("observer", f"{name}_valid"): 0.0 for name in "bc"})), {})
     assert list(found) == ["b"]
 
 
 def test_a_state_that_the_observer_does_not_estimate_has_no_error() -> None:
     port, said = ("observer", "w_hat"), ("observer", "w_hat_valid")
     for known, expected in ((1.0, {"w"}), (0.0, set())):
-        trace = Trace((port,), np.zeros((5, 1)), 1.0, [(0, {said: known})])
+        trace = Trace((port,), np.zeros((5, 1)), 1.0, readings({said: known}))
         assert set(metrics.state_errors(trace, {"w": np.ones(5)}, {})) == expected
-    assert metrics.estimates_state(Trace((port,), np.zeros((5, 1)), 1.0, [(0, {})]), "w")  # another's FMU, without the flag
-    assert not metrics.estimates_state(Trace((port,), np.full((5, 1), np.nan), 1.0, [(0, {})]), "w")
+    assert metrics.estimates_state(Trace((port,), np.zeros((5, 1)), 1.0, readings({})), "w")  # another's FMU, without the flag
+    assert not metrics.estimates_state(Trace((port,), np.full((5, 1), np.nan), 1.0, readings({})), "w")
 
 
 RESULT_OF_RECORD = {"adapted": True, "innovation": 1.0, "estimates": {n: {"valid": n != "c"} for n in ("alpha2", "b", "c")}}
