@@ -57,6 +57,19 @@ class Axis:
         number, _, unit = text.partition(" ")
         return float(number) * (parse_unit(unit).factor if unit else 1.0)
 
+    @property
+    def meaning(self) -> str:
+        """What its values in a table are: text, numbers in SI units, or numbers in a unit that is one of these."""
+        if not self.numeric:
+            return "text"
+        units = (
+            {self.unit}
+            if self.distribution is not None
+            else {each.partition("=")[2].strip().partition(" ")[2] for each in self.overrides}
+        )
+        [unit] = units if len(units) == 1 else [""]
+        return unit if unit and parse_unit(unit).factor == 1.0 else "numbers in SI units"
+
     def ends(self) -> tuple[str, ...]:
         """Return the overrides that are tried before anything runs: all that are listed, or far out and in the middle."""
         return self.overrides or tuple(self.drawn((0.001, 0.5, 0.999)))

@@ -29,6 +29,7 @@ except ImportError:
     raise BristleError("store of a sweep: needs pyarrow; run: pip install 'bristle[parquet]'") from None
 
 SWEEPS, RUNS = "sweeps", "runs"  # folders of a store
+DESCRIBED = {"scenario", "scenario_sha256", "vary", "runs", "fmus", "provenance"}  # least that is known of a sweep
 ERROR_VERDICT = "error"
 ROW_NUMBER = f"row_number() OVER (PARTITION BY key ORDER BY verdict = '{ERROR_VERDICT}')"
 
@@ -61,12 +62,17 @@ class Store:
 
     def files(self) -> list[Path]:
         """Return the files of runs."""
-        return sorted((self.path / RUNS).glob("*.parquet"))
+        return sorted(path for path in (self.path / RUNS).glob("*.parquet") if path.is_file())
 
     def sweeps(self) -> list[dict[str, Any]]:
-        """Return what was asked for, sweep by sweep in the order of their dates."""
-        found = [json.loads(path.read_text(encoding="utf-8")) for path in (self.path / SWEEPS).glob("*.json")]
-        return sorted(found, key=lambda each: str(each["provenance"]["date"]))
+        """Return what was asked for, sweep by sweep in the order of their dates.
+
+        Raises
+        ------
+        BristleError
+            If one of their files is damaged.
+        """
+        return sorted(map(_description, (self.path / SWEEPS).glob("*.json")), key=lambda each: str(each["provenance"]["date"]))
 
     def describe(self, name: str, content: Mapping[str, Any]) -> None:
         """Write what is asked for, and make the folders."""
@@ -100,24 +106,33 @@ class Store:
     def _damaged(self, error: Exception) -> BristleError:
         return BristleError(f"store {self.path}: {_line(error)}; resume the sweep, which repairs it")
 
-    def done(self) -> set[str]:
-        """Return the keys of the runs that have a verdict; a file that is damaged is removed, and its runs count as not done."""
-        keys: set[str] = set()
+    def done(self) -> dict[str, str]:
+        """Return the keys of the runs that are done, with their verdicts.
+
+        What ended in an error is not done; a file that is damaged is removed, and its runs count as not done.
+
+        Raises
+        ------
+        BristleError
+            If a file is not one of a sweep.
+        """
+        keys: dict[str, str] = {}
         for path in self.files():
             try:
                 found = pq.read_table(path, page_checksum_verification=True)  # all of it, so that all is verified
             except (OSError, pa.ArrowException):
                 path.unlink(missing_ok=True)
                 continue
-            verdicts = found["verdict"].to_pylist()
-            keys.update(key for key, verdict in zip(found["key"].to_pylist(), verdicts, strict=True) if verdict != ERROR_VERDICT)
+            _must_have_runs(path, found.schema)
+            pairs = zip(found["key"].to_pylist(), found["verdict"].to_pylist(), strict=True)
+            keys.update((key, verdict) for key, verdict in pairs if verdict != ERROR_VERDICT)
         return keys
 
     def dataset(self) -> pyarrow.dataset.Dataset:
         """Return all files as one, with all their columns."""
         self.require()
         try:
-            schemas = [pq.read_schema(path) for path in self.files()]
+            schemas = [_must_have_runs(path, pq.read_schema(path)) for path in self.files()]
             schema = pa.unify_schemas(schemas, promote_options="permissive")
             return pyarrow.dataset.dataset([str(path) for path in self.files()], schema=schema, format="parquet")
         except (OSError, pa.ArrowException) as error:
@@ -162,6 +177,25 @@ class Store:
                 return [str(column[0]) for column in found.description], found.fetchall()
         except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise BristleError(f"query: {_line(error)}") from None
+
+
+def _description(path: Path) -> dict[str, Any]:
+    """Return what was asked for in one sweep."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if not found.keys() >= DESCRIBED:
+            raise ValueError("entries are missing")
+    except (OSError, ValueError, AttributeError) as error:
+        why = f"is damaged ({_line(error)}); make its sweep again with --resume, which writes it anew, or remove it"
+        raise BristleError(f"{path}: {why}") from None
+    return dict(found)
+
+
+def _must_have_runs(path: Path, schema: pa.Schema) -> pa.Schema:
+    """Return the schema of a file of runs; raise `BristleError` if it is another file's."""
+    if not {"key", "sweep", "run", "verdict"} <= set(schema.names):
+        raise BristleError(f"{path}: holds no runs of bristle sweep; remove it from the store")
+    return schema
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> pa.Table:

@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
@@ -115,11 +116,21 @@ class Sweep:
 
 @dataclass
 class Summary:
-    """How a sweep ended: runs by verdict, those that were there before, and the seconds it took."""
+    """How a sweep ended: runs by verdict, the same of those that were there before, and the seconds it took."""
 
     verdicts: dict[str, int]
-    kept: int
+    there: dict[str, int]
     seconds: float
+
+    @property
+    def kept(self) -> int:
+        """Runs that were there before."""
+        return sum(self.there.values())
+
+    @property
+    def worst(self) -> str:
+        """The worst verdict of all runs that were asked for."""
+        return next((word for word in (ERROR_VERDICT, "fail") if self.verdicts.get(word) or self.there.get(word)), "pass")
 
     @property
     def runs(self) -> int:
@@ -499,10 +510,10 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
     if means.jobs < 1:
         raise BristleError(f"jobs {means.jobs}: give at least 1")
     begun, watcher = time.perf_counter(), Watcher()
-    done = store.done() if means.resume else set()
-    kept = sum(sweep.key(point) in done for point in design.points()) if done else 0
+    done = store.done() if means.resume else {}
+    there = Counter(done[key] for key in map(sweep.key, design.points()) if key in done) if done else Counter()
     todo = (point for point in design.points() if sweep.key(point) not in done)
-    total, verdicts = design.runs - kept, dict.fromkeys(("pass", "fail", ERROR_VERDICT), 0)
+    total, verdicts = design.runs - there.total(), dict.fromkeys(("pass", "fail", ERROR_VERDICT), 0)
     tell = progress or (lambda _done, _total: None)
     with _executor(sweep, means, watcher) as (submit, workers):
         store.describe(sweep.name, _described(sweep, design, means.command))
@@ -514,7 +525,7 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
                 verdicts[row["verdict"]] += 1
             watcher.done = max(watcher.done, sum(verdicts.values()))
     tell(total, total)
-    return Summary(verdicts, kept, time.perf_counter() - begun)
+    return Summary(verdicts, {word: there[word] for word in verdicts if word in there}, time.perf_counter() - begun)
 
 
 def _batches(points: Iterator[Point], size: int) -> Iterator[list[Point]]:
@@ -580,7 +591,7 @@ def _described(sweep: Sweep, design: Design, command: str) -> dict[str, Any]:
     fmus = dict.fromkeys(f"{fmu.path.name} {fmu.sha256}" for fmu in sweep.all_fmus)
     return {
         "scenario": sweep.path.stem, "scenario_sha256": sweep.sha256, "text": sweep.text,
-        "vary": {axis.path: "numbers in SI units" if axis.numeric else "text" for axis in sweep.axes},
+        "vary": {axis.path: axis.meaning for axis in sweep.axes},
         "runs": design.runs, "seeds": list(design.seeds), "samples": design.samples, "sampling": design.sampling,
         "sampling_seed": design.sampling_seed, "options": plain(vars(sweep.options)), "fmus": list(fmus),
         "provenance": {**provenance(), "command": command},

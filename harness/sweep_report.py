@@ -5,15 +5,17 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bristle.common.drawing import ESTIMATE, FAILED, GREY, STYLE, new_figure, set_labels, set_title, svg
+from bristle.common.cache import digest
+from bristle.common.drawing import ESTIMATE, FAILED, GREY, REFERENCE_COLOUR, STYLE, new_figure, set_labels, set_title, svg
 from bristle.common.html import badge, figure, identifier, number, page, table, tally
 from bristle.harness.store import ERROR_VERDICT, Store
 
@@ -29,7 +31,14 @@ HISTOGRAM_BINS = 40
 TAIL = 1.0  # percent of the runs at either end that a histogram leaves out
 PERCENTILES = (5.0, 50.0, 95.0)
 MAP_SEED = 1  # chooses which passing runs are shown
-OUTCOMES = {"pass": ESTIMATE, "fail": FAILED, ERROR_VERDICT: GREY}  # colour by verdict
+OUTCOMES = ("pass", "fail", ERROR_VERDICT)
+PLACES = {
+    "all pass": ESTIMATE,
+    "some pass": REFERENCE_COLOUR,
+    "none passes": FAILED,
+    ERROR_VERDICT: GREY,
+}  # colour by what the runs there do
+MOST_WORDS = 12  # different texts of a value that an axis has room for
 
 
 @dataclass(frozen=True)
@@ -96,6 +105,18 @@ class Runs:
         """Whether a column has numbers."""
         return not any(isinstance(value, str) for value in self.column(name))
 
+    def label(self, name: str) -> str:
+        """Return a value that varies with its unit, where the sweeps agree on one."""
+        units = {sweep["vary"][name] for sweep in self.sweeps if name in sweep["vary"]}
+        unit = units.pop() if len(units) == 1 else ""
+        return name if " " in unit or unit in ("", "text") else f"{name} [{unit}]"
+
+    @cached_property
+    def versions(self) -> list[tuple[object, ...]]:
+        """What decides each run beside its values and its seed: hashes of scenario and FMUs."""
+        hashes = ["scenario_sha256", *(name for name in self._table.column_names if name.startswith("sha256."))]
+        return list(zip(*map(self.column, hashes), strict=True))
+
 
 def statistics(runs: Runs) -> list[dict[str, Any]]:
     """Return, for each estimated parameter: valid runs, percentiles of the error in percent, and how often the interval holds.
@@ -147,7 +168,9 @@ def render(runs: Runs) -> str:
         "if the runs are independent draws: those of a grid are not."
     )
     shown = _shown(runs)
-    parts = [f"<header><h1>Sweep {head}</h1><p>{note}</p></header>", _verdicts(runs), _estimates(runs, shown)]
+    scenarios = ", ".join(dict.fromkeys(str(sweep["scenario"]) for sweep in runs.sweeps))
+    title = f"<h1>Sweep of {escape(scenarios)} {head}</h1>"
+    parts = [f"<header>{title}<p>{note}</p>{_mixed(runs)}</header>", _verdicts(runs), _estimates(runs, shown)]
     parts += [_maps(runs, shown), _rows(runs, shown), _origin(runs)]
     return page(f"{share.count} of {share.total} runs pass", "\n".join(parts))
 
@@ -168,6 +191,22 @@ def _verdicts(runs: Runs) -> str:
     for what, count in [*((f"check fails: {name}", count) for name, count in _failed(runs).items()), *messages]:
         rows.append((identifier(what), f"{count}", Share(count, len(runs)).text()))
     return "<h2>Verdicts</h2>" + table(("", "runs", "share [95 % interval]"), rows, (1,))
+
+
+def _mixed(runs: Runs) -> str:
+    """Say so where runs of several versions of the scenario or of its FMUs are in the store, with the share of each."""
+    counts = Counter(runs.versions)
+    if len(counts) < 2:
+        return ""
+    dates = {sweep["scenario_sha256"]: sweep["provenance"]["date"] for sweep in reversed(runs.sweeps)}
+    rows = []
+    for version in counts:
+        chosen = np.array([each == version for each in runs.versions])
+        fmus = digest(*map(str, version[1:]))[:8]
+        since = escape(str(dates.get(version[0], "")))
+        rows.append((f"<code>{escape(str(version[0])[:8])}</code>", f"<code>{fmus}</code>", since, runs.share(chosen).text()))
+    note = f"<p>The runs are of {len(counts)} versions of the scenario or its FMUs; everything below is over all of them.</p>"
+    return note + table(("scenario, hash", "FMUs, hash", "first asked for", "runs that pass [95 % interval]"), rows)
 
 
 def _estimates(runs: Runs, shown: NDArray[np.intp]) -> str:
@@ -228,15 +267,18 @@ def _maps(runs: Runs, shown: NDArray[np.intp]) -> str:
     varied = runs.varied
     if not varied:
         return ""
-    numeric = [name for name in varied if runs.numeric(name) and name != "seed"]
+    mapped = [name for name in varied if name != "seed" and (runs.numeric(name) or len(set(runs.column(name))) <= MOST_WORDS)]
     parts = ["<h2>Where runs fail</h2>"]
-    rows = [(identifier(name), escape(text), each.text()) for name in varied for text, each in _groups(runs, name)]
+    rows = [(identifier(runs.label(name)), escape(text), each.text()) for name in varied for text, each in _groups(runs, name)]
     parts.append(table(("value", "", "runs that pass [95 % interval]"), rows))
-    pairs = list(itertools.combinations(numeric, 2))[:MOST_MAPS]
+    pairs = list(itertools.combinations(mapped, 2))[:MOST_MAPS]
     if pairs:
-        drawn = f"{len(shown)} of {len(runs)} runs" if len(shown) < len(runs) else f"All {len(runs)} runs"
-        caption = f"{drawn}, runs that do not pass in red; a point leads to the command that repeats its run."
-        if len(pairs) < len(numeric) * (len(numeric) - 1) // 2:
+        drawn = f"Places of {len(shown)} of {len(runs)} runs" if len(shown) < len(runs) else f"All {len(runs)} runs"
+        caption = (
+            f"{drawn}. A point stands for all runs with these two values, whatever their seed and their other values; it leads to "
+            "the command that repeats one of them, which does not pass if any does not."
+        )
+        if len(pairs) < len(mapped) * (len(mapped) - 1) // 2:
             caption += f" The first {MOST_MAPS} pairs of values."
         parts.append(f'<figure class="inline">{_scatter(runs, pairs, shown)}<figcaption>{caption}</figcaption></figure>')
     return "\n".join(parts)
@@ -270,15 +312,43 @@ def _scatter(runs: Runs, pairs: Sequence[tuple[str, str]], shown: NDArray[np.int
         drawing.subplots_adjust(wspace=0.28, hspace=0.5)
         for place, (x, y) in enumerate(pairs, 1):
             ax = drawing.add_subplot(lines, columns, place)
-            for verdict, colour in OUTCOMES.items():
-                chosen = np.array([each for each in shown if runs.verdict[each] == verdict], dtype=int)
-                if len(chosen):
-                    at = runs.numbers(x)[chosen], runs.numbers(y)[chosen]
-                    points = ax.scatter(*at, 14, color=colour, label=verdict, linewidths=0)
-                    points.set_urls([f"#run-{each}" for each in chosen])
-            set_labels(ax, x, y)
-            ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderpad=0, handletextpad=0.2)
+            places = _places(runs, x, y, shown)
+            scale_x, scale_y = (_scale(runs, name, axis) for name, axis in ((x, ax.xaxis), (y, ax.yaxis)))
+            for what, colour in PLACES.items():
+                chosen = [(at, run) for at, (said, run) in places.items() if said == what]
+                if chosen:
+                    across, up = [scale_x(at[0]) for at, _ in chosen], [scale_y(at[1]) for at, _ in chosen]
+                    points = ax.scatter(across, up, 14, color=colour, label=what, linewidths=0)
+                    points.set_urls([f"#run-{run}" for _, run in chosen])
+            set_labels(ax, runs.label(x), runs.label(y))
+            ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderpad=0, handletextpad=0.2)
         return svg(drawing, "maps")
+
+
+def _places(runs: Runs, x: str, y: str, shown: NDArray[np.intp]) -> dict[tuple[Any, Any], tuple[str, int]]:
+    """Return, for each pair of values of the runs shown, what all runs there do, and the one that is linked."""
+    there: dict[tuple[Any, Any], list[int]] = {}
+    for run, at in enumerate(zip(runs.column(x), runs.column(y), strict=True)):
+        there.setdefault(at, []).append(run)
+    listed = {int(each) for each in shown}
+    found = {}
+    for at, members in there.items():
+        several = [run for run in members if run in listed]
+        if several and None not in at:
+            verdicts = {runs.verdict[run] for run in members}
+            said = "some pass" if "pass" in verdicts else "none passes" if "fail" in verdicts else ERROR_VERDICT
+            said = "all pass" if verdicts == {"pass"} else said
+            found[at] = said, min(several, key=lambda run: (runs.verdict[run] == "pass", run))
+    return found
+
+
+def _scale(runs: Runs, name: str, axis: Any) -> Callable[[Any], float]:
+    """Return where a value stands on an axis; texts stand side by side, in the order of the runs."""
+    if runs.numeric(name):
+        return float
+    words = list(dict.fromkeys(str(value) for value in runs.column(name) if value is not None))
+    axis.set_ticks(range(len(words)), words)
+    return lambda value: float(words.index(str(value)))
 
 
 def _rows(runs: Runs, shown: NDArray[np.intp]) -> str:

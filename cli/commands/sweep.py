@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -39,7 +40,7 @@ class Sampling(StrEnum):
 
 @app.command(
     short_help="Run a scenario with many values and seeds, into a store.",
-    epilog="Exit code 0: all runs pass; 1: a check does not hold in some; 2: a run could not be made, or none.",
+    epilog="Exit code 0: all runs pass, also those that were there; 1: a check does not hold in some; 2: a run could not be made, or none.",
 )
 def sweep(
     scenario: ScenarioArgument,
@@ -88,7 +89,12 @@ def sweep(
 
         means = Means(jobs or os.cpu_count() or 1, cluster, resume, command_line())
         found = run_sweep(prepared, asked, store, means, show)
-    counts = ", ".join(f"{count} {word}" for word, count in found.verdicts.items() if count or word == "pass")
-    before = f", {found.kept} were there" if found.kept else ""
+    counts = counted(found.verdicts)
+    before = f"; {found.kept} were there: {counted(found.there)}" if found.kept else ""
     print(f"{found.runs} {'run' if found.runs == 1 else 'runs'} in {found.seconds:.1f} s: {counts}{before}  {out}", flush=True)
-    return ERROR if found.verdicts["error"] else FAIL if found.verdicts["fail"] else PASS
+    return {"error": ERROR, "fail": FAIL}.get(found.worst, PASS)
+
+
+def counted(verdicts: Mapping[str, int]) -> str:
+    """Return how many runs have which verdict, in words."""
+    return ", ".join(f"{count} {word}" for word, count in verdicts.items() if count or word == "pass")

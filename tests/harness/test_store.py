@@ -8,11 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from bristle.harness.store import Store
 
 Message = Callable[[Callable[[], object]], str]
+DESCRIPTION = {"scenario": "quick", "scenario_sha256": "", "vary": {}, "runs": 4, "fmus": [], "provenance": {"date": "2020"}}
 
 
 def row(key: str, verdict: str = "pass", **more: object) -> dict[str, Any]:
@@ -22,7 +25,7 @@ def row(key: str, verdict: str = "pass", **more: object) -> dict[str, Any]:
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     made = Store(tmp_path / "store")
-    made.describe("one", {"provenance": {"date": "2020"}})
+    made.describe("one", DESCRIPTION)
     made.add([row("0", error=0.5), row("1", "fail", error=None)])
     made.add([row("2", sensor="clean"), row("3", "error", message="no")])
     return made
@@ -33,7 +36,7 @@ def test_rows_come_back_with_all_columns_and_null_where_there_is_nothing(store: 
     assert table["run"].to_pylist() == [0, 1, 2, 3]
     assert table["error"].to_pylist() == [0.5, None, None, None]
     assert table["sensor"].to_pylist() == [None, None, "clean", None]
-    assert store.done() == {"0", "1", "2"}  # what ended in an error is to be made again
+    assert set(store.done()) == {"0", "1", "2"}  # what ended in an error is to be made again
 
 
 def test_of_a_run_that_is_there_twice_the_one_without_error_counts(store: Store) -> None:
@@ -52,7 +55,7 @@ def test_a_damaged_file_costs_its_own_runs_only(store: Store, damage: str) -> No
         place = content.index(b"no", 4)  # of a page: the message
         content[place] ^= 255
     victim.write_bytes({"cut": content[: len(content) // 2], "empty": b""}.get(damage, bytes(content)))
-    assert store.done() == {"0", "1"}
+    assert set(store.done()) == {"0", "1"}
     assert store.table()["run"].to_pylist() == [0, 1]
 
 
@@ -73,6 +76,28 @@ def test_what_is_no_store_is_refused(tmp_path: Path, message: Message) -> None:
     assert "is no store of bristle sweep, and not empty" in message(lambda: Store(tmp_path))
     assert "is a file" in message(lambda: Store(tmp_path / "thesis.txt"))
     assert "no store, or one without runs" in message(lambda: Store(tmp_path / "nothing").table())
+
+
+def test_a_file_of_somebody_else_is_named(store: Store, message: Message) -> None:
+    foreign = store.path / "runs" / "thesis.parquet"
+    (store.path / "runs" / "folder.parquet").mkdir()
+    before = store.done()
+    pq.write_table(pa.table({"a": [1]}), foreign)
+    for work in (store.done, store.table):
+        assert message(work) == f"{foreign}: holds no runs of bristle sweep; remove it from the store"
+    foreign.unlink()
+    assert store.done() == before
+
+
+@pytest.mark.parametrize("content", ["", "{}", "[1]", '{"provenance": {}}'])
+def test_a_damaged_description_is_named_and_written_anew(store: Store, message: Message, content: str) -> None:
+    path = store.path / "sweeps" / "one.json"
+    path.write_text(content, encoding="utf-8")
+    line = message(store.sweeps)
+    assert line.startswith(f"{path}: is damaged")
+    assert "--resume" in line
+    store.describe("one", DESCRIPTION)
+    assert store.sweeps() == [DESCRIPTION]
 
 
 def test_a_query_that_is_wrong_is_said_in_a_line(store: Store, message: Message) -> None:

@@ -24,7 +24,7 @@ from bristle.harness.design import Design, design
 from bristle.harness.run import Options, run
 from bristle.harness.store import Store
 from bristle.harness.sweep import Means, Summary, packed, prepare_sweep, run_chunk, run_sweep
-from bristle.harness.sweep_report import Runs, Share, render, statistics, summary
+from bristle.harness.sweep_report import Runs, Share, _places, render, statistics, summary
 
 Maker = Callable[..., Path]
 Message = Callable[[Callable[[], object]], str]
@@ -290,6 +290,41 @@ def test_the_report_counts_covers_and_links(path: Path, tmp_path: Path) -> None:
     coverage = next(each for each in statistics(runs) if each["parameter"] == "b")["coverage"]
     assert (coverage.count, coverage.total) == (sum(by_hand), len(by_hand))
     assert len(by_hand) > 10
+
+
+def test_runs_at_one_place_of_a_map_are_one_point(path: Path, tmp_path: Path) -> None:
+    """Runs that fail hide none that pass: the colour says what all of them do, whatever their seed."""
+    store = Store(tmp_path / "store")
+    words = {"a": ("pass", "pass"), "b": ("pass", "fail"), "c": ("fail", "error"), "d": ("error", "error")}
+    cases = [(x, word, seed) for x, verdicts in words.items() for seed, word in enumerate(verdicts)]
+    made = [{"key": f"{x}{k}", "sweep": "s", "run": 2 * "abcd".index(x) + k, "verdict": v, "x": x, "y": 2.0} for x, v, k in cases]
+    told = {"scenario": "quick", "scenario_sha256": "", "runs": 8, "fmus": [], "provenance": {"date": ""}}
+    store.describe("s", {**told, "vary": {"x": "text", "y": "kg.m2"}})
+    store.add(made)
+    runs = Runs(store)
+    found = {x: said for (x, _), said in _places(runs, "x", "y", runs.index).items()}
+    assert found == {"a": ("all pass", 0), "b": ("some pass", 3), "c": ("none passes", 4), "d": ("error", 6)}
+    assert [runs.label(name) for name in ("x", "y")] == ["x", "y [kg.m2]"]
+
+
+def test_runs_of_several_versions_are_told_apart(path: Path, tmp_path: Path) -> None:
+    asked = design([VARY[0]], samples=3)
+    store, _ = swept(path, tmp_path / "store", asked)
+    assert "The runs are of" not in render(Runs(store))
+    path.write_text(path.read_text(encoding="utf-8") + "\n# a later version\n", encoding="utf-8")
+    swept(path, tmp_path / "store", asked, resume=True)
+    page = render(Runs(store))
+    assert "The runs are of 2 versions of the scenario or its FMUs" in page
+    assert page.count("100.0 % [29.2, 100.0]") >= 2  # of either version, Clopper and Pearson for 3 of 3
+
+
+def test_a_resumed_sweep_tells_what_those_that_were_there_do(path: Path, tmp_path: Path) -> None:
+    text = path.read_text(encoding="utf-8") + '\n[[checks]]\nname = "never"\nquantity = "estimates.b.final"\nmax = -1.0\n'
+    path.write_text(text, encoding="utf-8")
+    _, found = swept(path, tmp_path / "store", design([VARY[0]], samples=3))
+    assert found.worst == "fail"
+    _, found = swept(path, tmp_path / "store", design([VARY[0]], samples=3), resume=True)
+    assert (found.runs, found.there, found.worst) == (0, {"fail": 3}, "fail")
 
 
 def test_a_sweep_that_is_stopped_returns_what_it_has(path: Path) -> None:
