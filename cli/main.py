@@ -16,6 +16,7 @@ OPTIONS_OF_LIBRARIES = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP
 def main() -> None:
     """Run the command line; an error ends with one line and exit code 2."""
     _on_signals(_leave)  # before the imports, which take most of the start
+    _open_streams()
     for name, value in OPTIONS_OF_LIBRARIES.items():
         os.environ.setdefault(name, value)
     import logging
@@ -45,6 +46,17 @@ def main() -> None:
         raise SystemExit(ERROR) from None
     _on_signals(signal.SIG_IGN)
     raise SystemExit(code if isinstance(code, int) else PASS)
+
+
+def _open_streams() -> None:
+    """Let streams that were closed (`>&-`) lead nowhere, so that no file that is opened later takes their place."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            setattr(sys, name, os.fdopen(number, "w" if number else "r"))
 
 
 def _on_signals(handler: Callable[[int, object], None] | signal.Handlers) -> None:

@@ -114,6 +114,21 @@ def test_a_reader_that_has_gone_is_no_verdict(folder: Path, arguments: list[str]
     assert (done.returncode, done.stderr) == (2, "bristle: standard output: nobody reads it any more\n")
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs a shell")
+@pytest.mark.parametrize("closed", ["0<&- >&-", ">&-", "2>&-", "0<&- >&- 2>&-"])
+def test_closed_streams_lead_nowhere(folder: Path, closed: str) -> None:
+    """And no file takes the number of one of them, so that nothing that is printed lands in it."""
+    command = f"{sys.executable} -m bristle schema model {closed}"
+    done = subprocess.run(["sh", "-c", f"{command}; echo $?"], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "0"
+    assert "Error" not in done.stderr
+    command = f"{sys.executable} -m bristle build controller --out fmus {closed}"
+    done = subprocess.run(["sh", "-c", f"{command}; echo $?"], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "0"
+    assert all(path.read_bytes()[:2] == b"PK" for path in Path("fmus").glob("*.fmu"))
+    assert list(Path("fmus").glob("*.fmu"))
+
+
 @pytest.mark.parametrize(("error", "said"), [
     (MemoryError(), "bristle: no memory left; end other programs, or allow more (ulimit -v)"),
     (OSError(28, "No space left on device"), "bristle: temporary folder {}: No space left on device; make room, or set TMPDIR"),
