@@ -40,7 +40,7 @@ class Sampling(StrEnum):
 
 @app.command(
     short_help="Run a scenario with many values and seeds, into a store.",
-    epilog="Exit code 0: all runs pass, also those that were there; 1: a check does not hold in some; 2: a run could not be made, or none.",
+    epilog="Exit code 0: all runs pass, also those that were there; 1: a check does not hold in some; 2: a run could not be made.",
 )
 def sweep(
     scenario: ScenarioArgument,
