@@ -196,9 +196,10 @@ def _limits(ax: Any, course: Course, true: Array | None) -> None:
 # -- signals ---------------------------------------------------------------------------------------------------------
 
 
-def _part(time: Array) -> tuple[float, float]:
-    """Return where the last seconds of a run begin and end."""
-    return max(float(time[0]), float(time[-1]) - SHOWN_SECONDS), float(time[-1])
+def _part(time: Array) -> tuple[float, float] | None:
+    """Return where the last seconds of a run begin and end, nothing of a run that has no more."""
+    begin, end = float(time[0]), float(time[-1])
+    return (end - SHOWN_SECONDS, end) if end - begin > SHOWN_SECONDS else None
 
 
 def _signals(pictures: Pictures) -> Any:
@@ -271,7 +272,8 @@ def _friction(pictures: Pictures) -> Any:
         near.plot(v[last], np.where(np.abs(v[last]) < 1.5 * slow, force[last], np.nan), color=colour, linewidth=width)
     set_labels(wide, y=f"friction over {'mass' if pictures.rig.position == 'm' else 'inertia'}, {pictures.rig.position}/s²")
     set_title(wide, "whole range")
-    set_title(near, f"near rest, the last {LOOP_SECONDS:g} s: presliding loops")
+    seconds = min(LOOP_SECONDS, pictures.step * len(pictures.signals["v"]))
+    set_title(near, f"near rest, the last {seconds:.3g} s: presliding loops")
     near.set_xlim(-slow, slow)
     wide.legend(loc="upper left", markerscale=3)
     for ax in (wide, near):

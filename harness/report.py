@@ -17,7 +17,7 @@ BANDS = (
     "Light blue: ±2 standard deviations, if the observer gives any. Grey and dashed: not valid. "
     "The vertical axis does not show the largest initial excursions."
 )
-LAST_SECONDS = "In print, and where scripts do not run: the last ten seconds."
+LAST_SECONDS = "In print, and where scripts do not run: at most the last ten seconds."
 ERRORS = (
     "Errors and changes in percent of the true value. Settled: the last time at which the error exceeds 5 %; "
     "never, if it exceeds it at the end."
