@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 from bristle.common.errors import BristleError, suggest
@@ -205,6 +206,22 @@ def _period(fmu: Fmu, h: float) -> dict[str, Value]:
     return {"sample_time": h} if fmu.has("sample_time", "parameter") else {}
 
 
+def _others(fmu: Fmu, selector: str, choice: str | None) -> set[str]:
+    """Return the laws or methods of an FMU that are not chosen; nothing of one without a choice."""
+    return set(fmu.choices(selector)) - {choice} if choice is not None else set()
+
+
+@lru_cache(maxsize=64)
+def _own_parameters(fmu: Fmu, selector: str, choice: str | None) -> list[str]:
+    """Return the parameters of an FMU without those of other laws or methods than the one chosen."""
+    others = _others(fmu, selector, choice)
+    return [
+        parameter
+        for parameter in fmu.names("parameter")
+        if parameter not in (selector, f"{selector}_index") and parameter.partition(".")[0] not in others
+    ]
+
+
 def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[str, Value]:
     """Return the start values of a part: its choice of law or method, and the user's parameters, which are in units of the rig."""
     values: dict[str, Value] = {}
@@ -219,12 +236,7 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[s
             message = f"unknown {selector}{suggest(choice, known)}; choose one of: {', '.join(known)}"
             raise loaded.error(f"{name}.{selector}", choice, message)
         values[selector] = choices[choice]
-    others = set(fmu.choices(selector)) - {choice} if choice is not None else set()
-    own = [
-        parameter
-        for parameter in fmu.names("parameter")
-        if parameter not in (selector, f"{selector}_index") and parameter.partition(".")[0] not in others
-    ]
+    own = _own_parameters(fmu, selector, choice)
     for key, given in part.parameters.items():
         if choice is not None and key == f"{selector}_index":
             raise loaded.error(f"{name}.parameters.{key}", given, f"the scenario chooses by {name}.{selector}; remove it")
@@ -235,7 +247,7 @@ def _values(loaded: Loaded, name: str, part: Part, fmu: Fmu, rig: Rig) -> dict[s
         if key in WHOLE_PARAMETERS.get(name, ()) and values[key] != int(values[key]):
             raise loaded.error(f"{name}.parameters.{key}", given, "must be a whole number")
         owner = key.partition(".")[0]
-        if owner != key and owner in others:
+        if owner != key and owner in _others(fmu, selector, choice):
             raise loaded.error(f"{name}.parameters.{key}", given, f"belongs to {selector} '{owner}', this is '{choice}'; remove it")
     return values
 
@@ -317,8 +329,9 @@ def _loop_links(setup: Setup) -> list[tuple[Port, Port]]:
     return [(("plant", speed), ("controller", "y_v")), (("controller", "u"), ("plant", "u"))]
 
 
-def _plant_flags(setup: Setup) -> tuple[Port, ...]:
-    return tuple(("plant", name) for name in setup.fmus["plant"].variables if name.startswith("true."))
+@lru_cache(maxsize=64)
+def _plant_flags(plant: Fmu) -> tuple[Port, ...]:
+    return tuple(("plant", name) for name in plant.variables if name.startswith("true."))
 
 
 def identification(setup: Setup) -> Bus:
@@ -346,7 +359,7 @@ def identification(setup: Setup) -> Bus:
         _instances(setup, (*driven, "plant", "observer")), setup.steps, setup.h,
         links=tuple(links), events=events(setup.stimuli), series=series(setup.stimuli, setup.steps, setup.h),
         record=tuple(port for unit in (*driven, "plant", "observer") for port in setup.ports(unit)),
-        flags=_plant_flags(setup) + flags, watch=("observer",),
+        flags=_plant_flags(setup.fmus["plant"]) + flags, watch=("observer",),
     )  # fmt: skip
 
 

@@ -47,6 +47,8 @@ class Rig:
 
     def unit(self, observers: str) -> str:
         """Return the rig's unit for one in rad and V: ``rad/(s2.V)`` becomes ``m/(s2.N)``."""
+        if (self.position, self.input) == (ANGLE, VOLTAGE):
+            return observers
         names = {ANGLE: self.position, VOLTAGE: self.input}
         return re.sub(r"[A-Za-z]+", lambda match: names.get(match[0], match[0]), observers)
 
