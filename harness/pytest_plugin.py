@@ -6,7 +6,8 @@ they can be run by pytest-xdist.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,21 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Col
     return file
 
 
+@pytest.hookimpl(tryfirst=True)  # before any is left out, so that the folders do not depend on which
+def pytest_collection_modifyitems(items: Sequence[pytest.Item]) -> None:
+    """Give scenarios of one name a result folder each."""
+    scenarios = [item for item in items if isinstance(item, ScenarioItem)]
+    named = Counter(item.path.stem.casefold() for item in scenarios)
+    for item in scenarios:
+        if named[item.path.stem.casefold()] > 1:
+            item.place = _below(item.path.parent, item.config.rootpath)
+
+
+def _below(folder: Path, root: Path) -> Path:
+    """Return a folder relative to the root; one that lies elsewhere, relative to that of the file system."""
+    return folder.relative_to(root if folder.is_relative_to(root) else folder.anchor)
+
+
 class ScenarioFile(pytest.File):
     """A scenario file, which is one item."""
 
@@ -55,7 +71,12 @@ class ScenarioFile(pytest.File):
 
 
 class ScenarioItem(pytest.Item):
-    """A run of a scenario, which passes if its verdict does."""
+    """A run of a scenario, which passes if its verdict does.
+
+    `place` is where its result folder lies, below that of all results.
+    """
+
+    place = Path()
 
     def runtest(self) -> None:
         """Run the scenario; raise `ScenarioError` if its verdict is not pass."""
@@ -69,9 +90,9 @@ class ScenarioItem(pytest.Item):
     def _out(self) -> Path:
         given = self.config.getoption(OUT_OPTION)
         if given is not None:
-            return Path(given)
+            return Path(given) / self.place
         factory: Any = self.config._tmp_path_factory  # type: ignore[attr-defined]  # what the fixture of this name gives
-        return Path(factory.getbasetemp()) / "bristle"
+        return Path(factory.getbasetemp()) / "bristle" / self.place
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Return the verdict table; of any other exception what pytest shows."""

@@ -144,17 +144,32 @@ def test_an_error_of_one_run_is_a_verdict_of_its_own():
     assert "the disk is full" in render([broken], {})
 
 
+def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+    """Run pytest on a folder that is its root, results to `out` in it."""
+    (folder / "pyproject.toml").write_text("[tool.pytest.ini_options]\n", encoding="utf-8")
+    command = [
+        sys.executable, "-m", "pytest", "-p", "no:bristle", "-p", "bristle.harness.pytest_plugin", "-p", "no:cacheprovider",
+        *arguments, str(folder), "--bristle-out", str(folder / "out"),
+    ]  # fmt: skip
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_pytest_keeps_results_of_scenarios_of_one_name_apart(tmp_path):
+    for place, name in (("a", "same"), ("b", "same"), ("b", "other")):
+        (tmp_path / place).mkdir(exist_ok=True)
+        scenario(tmp_path / place, name)
+    done = run_pytest(tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = {p.parent.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("result.json")}
+    assert found == {"a/same", "b/same", "other"}
+
+
 @pytest.mark.slow
 def test_pytest_collects_scenario_files_and_shows_the_verdict_table(tmp_path):
     scenario(tmp_path, "good")
     scenario(tmp_path, "strict", 1e-9)
-    (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\n", encoding="utf-8")
     (tmp_path / "broken.toml").write_text("this is [no TOML", encoding="utf-8")
-    command = [
-        sys.executable, "-m", "pytest", "-p", "no:bristle", "-p", "bristle.harness.pytest_plugin", "-p", "no:cacheprovider",
-        "-n", "2", str(tmp_path), "--bristle-out", str(tmp_path / "out"),
-    ]  # fmt: skip
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = run_pytest(tmp_path, "-n", "2")
     assert done.returncode == 1, done.stdout + done.stderr
     assert "1 failed, 1 passed" in done.stdout
     assert "estimates.b.error_percent" in done.stdout
