@@ -24,6 +24,8 @@ from bristle.harness.values import refuse_conflicts
 
 Told = Callable[[str, int, int], None]  # what was done last, how many are done, of how many
 
+LONGEST_NAME = 255  # bytes that file systems allow in the name of a folder
+
 
 @dataclass(frozen=True)
 class Case:
@@ -99,9 +101,11 @@ def find_cases(
     Raises
     ------
     BristleError
-        If nothing is there to run, two files have one name, or a path would have two values at once.
+        If nothing is there to run, two files have one name, a path would have two values at once, or a value cannot name a folder.
     """
     refuse_conflicts([of_key[0] for of_key in values if of_key], seeds, overrides)
+    for of_key in values:
+        _refuse_folders(of_key)
     paths = [path for each in given for path in _files(each)]
     names = [path.stem for path in paths]
     for path in paths:
@@ -188,6 +192,21 @@ def _files(given: Path) -> list[Path]:
     if not found:
         raise BristleError(f"{given}: no scenario file in this folder; a scenario is a .toml file with a table [observer]")
     return found
+
+
+def _refuse_folders(of_key: Sequence[str]) -> None:
+    """Refuse values of a key that cannot name result folders, or of which two would name the same."""
+    taken: dict[str, str] = {}
+    for given in of_key:
+        name = _file_name(given)
+        if len(name.encode()) > LONGEST_NAME:
+            advice = f"may have {LONGEST_NAME} bytes; give a shorter value, or set it in a file of its own"
+            raise BristleError(
+                f"vary '{given[:60]}...': its result folder would have a name of {len(name.encode())} bytes, {advice}"
+            )
+        other = taken.setdefault(name.casefold(), given)  # not all file systems tell capital letters
+        if other != given:
+            raise BristleError(f"vary '{given}': its result folder would be that of '{other}', {name}; run one of them by itself")
 
 
 def is_scenario(path: Path) -> bool:

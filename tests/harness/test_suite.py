@@ -86,6 +86,20 @@ def test_cases_are_all_combinations(tmp_path):
         find_cases([tmp_path], [], [["a=1", "a=2"]], ["a=3"])
 
 
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (["title=a b", "title=a_b"], "vary 'title=a_b': its result folder would be that of 'title=a b', title=a_b"),
+        (["title=A", "title=a"], "vary 'title=a': its result folder would be that of 'title=A'"),
+        (["title=b", "title=" + "x" * 20000], r"vary 'title=x{54}\.\.\.': .* 20006 bytes, may have 255"),
+        (["title=" + "é" * 130], r"of 266 bytes"),
+    ],
+)
+def test_values_that_cannot_name_result_folders(tmp_path, values, said):
+    with pytest.raises(BristleError, match=said):
+        find_cases([scenario(tmp_path, "one")], [], [["step=1 ms"], values])
+
+
 def test_the_worst_value_is_that_next_to_or_beyond_its_limit():
     runs = [
         CaseResult(Case(Path("s.toml"), k), "pass", (check(v), check(v, "min", -5.0))) for k, v in enumerate((1.0, -3.0, 0.5), 1)
