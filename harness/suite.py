@@ -5,14 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 import multiprocessing
+import os
 import signal
 import statistics
 import sys
+import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +27,7 @@ from bristle.harness.run import Options, check, run
 from bristle.harness.values import refuse_conflicts
 
 Told = Callable[[str, int, int], None]  # what was done last, how many are done, of how many
+Work = Callable[["Case"], "CaseResult"]
 
 LONGEST_NAME = 255  # bytes that file systems allow in the name of a folder
 
@@ -69,7 +74,10 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class CheckSummary:
-    """One limit of one check over all runs of a scenario: how often it held, median and worst value, and where that is."""
+    """One limit of one check over all runs of a scenario: how often it held, median and worst value, and where that is.
+
+    `count` includes the runs that came to no result, in which nothing held; median and worst value are of the others.
+    """
 
     name: str
     quantity: str
@@ -138,17 +146,22 @@ def run_suite(
         Before anything runs, if a scenario cannot be run: one line for each.
     """
     options = options or Options()
-    _check(cases, out, options)
-    tell = progress or (lambda name, done, total: None)
-    if jobs == 1:
-        return [_told(run_case(case, out, options), k, len(cases), tell) for k, case in enumerate(cases, 1)]
     found: dict[Case, CaseResult] = {}
-    with _workers(min(jobs, len(cases))) as pool:
-        with _uninterrupted():  # the processes, which begin here, inherit it
-            waiting: dict[Future[CaseResult], Case] = {pool.submit(run_case, case, out, options): case for case in cases}
-        for k, future in enumerate(as_completed(waiting), 1):
-            case = waiting[future]
-            found[case] = _told(_result(future, case), k, len(cases), tell)
+
+    def keep(tested: CaseResult) -> None:
+        found[tested.case] = tested
+        if progress is not None:
+            progress(" ".join([tested.case.path.stem, tested.case.name]).strip(), len(found), len(cases))
+
+    _check(cases, out, options)
+    work = partial(run_case, out=out, options=options)
+    if jobs == 1:
+        for case in cases:
+            keep(work(case))
+        return [found[case] for case in cases]
+    waiting = deque(cases)
+    while waiting:
+        _run_in_processes(waiting, jobs, work, keep)
     return [found[case] for case in cases]
 
 
@@ -160,12 +173,12 @@ def summaries(tested: Sequence[CaseResult]) -> list[CheckSummary]:
             key = (c["name"], c["quantity"], c["kind"], c["limit"])
             value = c["value"] if c["value"] is not None else math.nan
             lines.setdefault(key, []).append((value, bool(c["pass"]), each.case.name))
-    found = []
+    found, lost = [], sum(each.verdict == "error" for each in tested)
     for (name, quantity, kind, limit), values in lines.items():
         worst = max(values, key=lambda each: _badness(each[0], kind))
         median = statistics.median(abs(v) if kind == "max_abs" else v for v, _, _ in values)
         passed = sum(held for _, held, _ in values)
-        found.append(CheckSummary(name, quantity, kind, limit, passed, len(values), median, worst[0], worst[2]))
+        found.append(CheckSummary(name, quantity, kind, limit, passed, len(values) + lost, median, worst[0], worst[2]))
     return found
 
 
@@ -206,7 +219,7 @@ def _refuse_folders(of_key: Sequence[str]) -> None:
             )
         other = taken.setdefault(name.casefold(), given)  # not all file systems tell capital letters
         if other != given:
-            raise BristleError(f"vary '{given}': its result folder would be that of '{other}', {name}; run one of them by itself")
+            raise BristleError(f"vary '{given}': its result folder would be that of '{other}', {name}; leave one of them out")
 
 
 def is_scenario(path: Path) -> bool:
@@ -249,22 +262,36 @@ def run_case(case: Case, out: Path, options: Options | None = None) -> CaseResul
     return CaseResult(case, result["verdict"], tuple(result["checks"]), result["wall_s"], message, origin)
 
 
+def _run_in_processes(waiting: deque[Case], jobs: int, work: Work, keep: Callable[[CaseResult], None]) -> None:
+    """Run cases, one a process at a time, until none waits any more or a process is killed; that loses those under way."""
+    count, broken = min(jobs, len(waiting)), False
+    running: dict[Future[CaseResult], Case] = {}
+    with _workers(count) as pool:
+        while running or (waiting and not broken):
+            try:
+                while waiting and len(running) < count and not broken:
+                    with _uninterrupted():  # the process, which may begin here, inherits it
+                        future = pool.submit(work, waiting[0])
+                    running[future] = waiting.popleft()
+            except BrokenProcessPool:
+                broken = True
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                broken = broken or isinstance(future.exception(), BrokenProcessPool)
+                keep(_result(future, running.pop(future)))
+
+
 def _result(future: Future[CaseResult], case: Case) -> CaseResult:
     try:
         return future.result()
     except BrokenProcessPool:
-        return CaseResult(case, "error", message=f"{case.path}: a process of this suite was killed; run it again with fewer jobs")
-
-
-def _told(tested: CaseResult, done: int, total: int, tell: Told) -> CaseResult:
-    tell(" ".join([tested.case.path.stem, tested.case.name]).strip(), done, total)
-    return tested
+        message = f"{case.path}: was under way when a process of this suite was killed; run it again with fewer jobs"
+        return CaseResult(case, "error", message=message)
 
 
 @contextmanager
 def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
     """Give a pool of processes, which end with this one: an interrupt is for the process that waits for them."""
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _ignore_interrupts)
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start_worker)
     try:
         yield pool
     except BaseException:
@@ -288,8 +315,17 @@ def _uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _ignore_interrupts() -> None:
+def _start_worker() -> None:
+    """Leave interrupts to the parent process, and end with it, however that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _file_name(text: str) -> str:

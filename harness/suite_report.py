@@ -72,8 +72,7 @@ def junit(tested: Sequence[CaseResult]) -> bytes:
 def render(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> str:
     """Return index.html: each scenario with its checks over all runs, and all runs with links to their reports."""
     passed = sum(each.verdict == "pass" for each in tested)
-    held = [bool(check["pass"]) for each in tested for check in each.checks]
-    head = f'<p class="tally">{tally(passed, len(tested), "runs pass")} {tally(sum(held), len(held), "checks")}</p>'
+    head = f'<p class="tally">{tally(passed, len(tested), "runs pass")} {_checks_held(tested)}</p>'
     word = badge(VERDICT_BADGES[verdict(tested)], verdict(tested))
     parts = [
         f"<header>{head}<h1>Scenario suite {word}</h1>{beside(['suite.json'])}</header>",
@@ -84,6 +83,18 @@ def render(tested: Sequence[CaseResult], provenance: Mapping[str, Any]) -> str:
     rows = [f"<dt>{key}</dt><dd>{escape(str(value))}</dd>" for key, value in provenance.items()]
     parts.append(f"<h2>Where it comes from</h2><dl>{''.join(rows)}</dl>")
     return page(f"{passed} of {len(tested)} runs pass", "\n".join(parts))
+
+
+def _checks_held(tested: Sequence[CaseResult]) -> str:
+    """Return in how many runs checks hold, of all checks and runs; good only if every run came to a result."""
+    found = [each for runs in by_scenario(tested).values() for each in summaries(runs)]
+    passed, count = sum(each.passed for each in found), sum(each.count for each in found)
+    lost = sum(each.verdict == "error" for each in tested)
+    return (
+        badge("bad", f"{passed} of {count} checks, {lost} {'run' if lost == 1 else 'runs'} without result")
+        if lost
+        else tally(passed, count, "checks")
+    )
 
 
 def _overview(tested: Sequence[CaseResult]) -> str:

@@ -1,6 +1,8 @@
 """Many runs of scenarios: bristle test, what it writes, and scenario files as items of pytest."""
 
 import json
+import multiprocessing
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -141,6 +143,37 @@ def test_one_process_and_two_give_the_same(tmp_path):
     assert "2 of 4 runs pass" in page
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_killed_process_loses_only_the_runs_under_way(tmp_path):
+    cases = find_cases([scenario(tmp_path, "good")], range(1, 10), [])
+
+    def kill(name, done, total):
+        if done == 1:
+            multiprocessing.active_children()[0].kill()
+
+    tested = run_suite(cases, tmp_path / "out", jobs=2, progress=kill)
+    assert [t.case for t in tested] == cases
+    lost = [t for t in tested if t.verdict != "pass"]
+    assert len(lost) <= 2
+    assert all("was killed" in t.message for t in lost)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_processes_end_with_their_parent():
+    script = """
+import os, signal, time
+from bristle.harness.suite import _workers
+with _workers(1) as pool:
+    print(pool.submit(os.getpid).result(), flush=True)
+    pool.submit(time.sleep, 120)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60, check=False)  # till the last one ends
+    assert done.returncode == -signal.SIGKILL
+    assert int(done.stdout)
+
+
 def test_nothing_runs_where_one_scenario_cannot(tmp_path):
     good, bad = scenario(tmp_path, "good"), scenario(tmp_path, "bad")
     bad.write_text(bad.read_text(encoding="utf-8").replace("error_percent", "eror_percent"), encoding="utf-8")
@@ -158,6 +191,18 @@ def test_an_error_of_one_run_is_a_verdict_of_its_own():
     assert "the disk is full" in render([broken], {})
 
 
+def test_runs_without_result_count_where_checks_hold():
+    runs = [CaseResult(Case(Path("s.toml"), k), "pass", (check(1.0),)) for k in (1, 2)]
+    runs.append(CaseResult(Case(Path("s.toml"), 3), "error", message="s.toml: the disk is full"))
+    [found] = summaries(runs)
+    assert (found.passed, found.count, found.worst, found.worst_run) == (2, 3, 1.0, "seed 1")
+    page = render(runs, {})
+    assert "2 of 3 checks, 1 run without result" in page
+    assert 'badge good">2' not in page
+    lost = CaseResult(Case(Path("t.toml")), "error", message="t.toml: the disk is full")  # of which no check is known
+    assert 'badge bad">2 of 2 checks, 1 run without result' in render([*runs[:2], lost], {})
+
+
 def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
     """Run pytest on a folder that is its root, results to `out` in it."""
     (folder / "pyproject.toml").write_text("[tool.pytest.ini_options]\n", encoding="utf-8")
@@ -168,6 +213,7 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_pytest_keeps_results_of_scenarios_of_one_name_apart(tmp_path):
     for place, name in (("a", "same"), ("b", "same"), ("b", "other")):
         (tmp_path / place).mkdir(exist_ok=True)
