@@ -34,8 +34,8 @@ def unit(text: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """Return an identifier as HTML text that may break after its dots and underscores where the page is narrow."""
-    return re.sub(r"(?<=[._])(?=.)", "<wbr>", escape(text))
+    """Return an identifier as HTML text that may break after dots, underscores and = where the page is narrow, not in a number."""
+    return re.sub(r"(?<=[._=])(?!(?<=\d\.)\d)(?=.)", "<wbr>", escape(text))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:

@@ -83,7 +83,8 @@ class ScenarioItem(pytest.Item):
         from bristle.harness.suite import Case, run_case
 
         tested = run_case(Case(self.path), self._out())
-        self.add_report_section("call", "bristle", f"report: {self._out() / tested.report}")
+        if tested.verdict != "error":
+            self.add_report_section("call", "bristle", f"report: {self._out() / tested.report}")
         if tested.verdict != "pass":
             raise ScenarioError(verdict_table(tested))
 

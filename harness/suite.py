@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from bristle.harness.values import refuse_conflicts
 Told = Callable[[str, int, int], None]  # what was done last, how many are done, of how many
 Work = Callable[["Case"], "CaseResult"]
 
+PATIENCE = 5.0  # s that ending a process may take
 LONGEST_NAME = 255  # bytes that file systems allow in the name of a folder
 
 
@@ -153,15 +154,16 @@ def run_suite(
         if progress is not None:
             progress(" ".join([tested.case.path.stem, tested.case.name]).strip(), len(found), len(cases))
 
-    _check(cases, out, options)
     work = partial(run_case, out=out, options=options)
-    if jobs == 1:
-        for case in cases:
-            keep(work(case))
-        return [found[case] for case in cases]
     waiting = deque(cases)
-    while waiting:
-        _run_in_processes(waiting, jobs, work, keep)
+    try:
+        _check(cases, out, options)
+        while waiting and jobs == 1:
+            keep(work(waiting.popleft()))
+        while waiting:
+            _run_in_processes(waiting, jobs, work, keep)
+    finally:
+        _remove_empty(out, cases)
     return [found[case] for case in cases]
 
 
@@ -288,6 +290,14 @@ def _result(future: Future[CaseResult], case: Case) -> CaseResult:
         return CaseResult(case, "error", message=message)
 
 
+def _remove_empty(out: Path, cases: Sequence[Case]) -> None:
+    """Remove the folders of runs that left nothing there."""
+    for case in cases:
+        for place in (case.folder, *case.folder.parents)[:-1]:
+            with suppress(OSError):  # it is not empty, or not there
+                (out / place).rmdir()
+
+
 @contextmanager
 def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
     """Give a pool of processes, which end with this one: an interrupt is for the process that waits for them."""
@@ -296,8 +306,11 @@ def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
         yield pool
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
+        children = multiprocessing.active_children()
+        for child in children:
             child.terminate()
+        for child in children:
+            child.join(PATIENCE)
         raise
     pool.shutdown()
 

@@ -90,11 +90,9 @@ def _checks_held(tested: Sequence[CaseResult]) -> str:
     found = [each for runs in by_scenario(tested).values() for each in summaries(runs)]
     passed, count = sum(each.passed for each in found), sum(each.count for each in found)
     lost = sum(each.verdict == "error" for each in tested)
-    return (
-        badge("bad", f"{passed} of {count} checks, {lost} {'run' if lost == 1 else 'runs'} without result")
-        if lost
-        else tally(passed, count, "checks")
-    )
+    if not lost:
+        return tally(passed, count, "checks")
+    return badge("bad", f"{passed} of {count} checks, {lost} {'run' if lost == 1 else 'runs'} without result")
 
 
 def _overview(tested: Sequence[CaseResult]) -> str:
@@ -117,7 +115,7 @@ def _scenario(path: Path, runs: Sequence[CaseResult]) -> str:
         parts.append(table(("check", "limit", "unit", "holds in", "median", "worst", "where"), checks, (1, 4, 5)))
     rows = []
     for each in runs:
-        name = escape(each.case.name or path.stem)
+        name = identifier(each.case.name or path.stem)
         link = name if each.verdict == "error" else f'<a href="{quote(each.report.as_posix())}">{name}</a>'
         rows.append((link, badge(VERDICT_BADGES[each.verdict], each.verdict), "<br>".join(map(escape, failures(each)))))
     listed = table(("run", "", "what does not hold"), rows)
@@ -128,6 +126,6 @@ def _scenario(path: Path, runs: Sequence[CaseResult]) -> str:
 def _check_row(each: CheckSummary, runs: int) -> tuple[str, ...]:
     held = badge("good" if each.passed == each.count else "bad", f"{each.passed} of {each.count}")
     limit = f"{SIGNS[each.kind]} {number(each.limit)}"
-    where = escape(each.worst_run) if runs > 1 else ""
+    where = identifier(each.worst_run) if runs > 1 else ""
     own = unit(check_unit({}, each.quantity)) or "–"
     return (identifier(each.name), limit, own, held, number(each.median), number(each.worst), where)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bristle.common.drawing import STYLE, Drawing, new_figure, set_labels, svg
-from bristle.common.html import figure, page, table, tally
+from bristle.common.html import figure, identifier, page, table, tally
 from bristle.common.time_plot import time_band, time_curve, time_mark, time_panel
 
 BROWSER = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
@@ -33,6 +33,11 @@ def drawn(clock="run"):
         drawing = svg(made, clock)
     drawing.seen = 'settles at 51 s, ends at "2"'
     return drawing
+
+
+def test_an_identifier_may_break_between_its_parts_but_not_in_a_number():
+    assert identifier("plant.J_0=0.001 kg.m2") == "plant.<wbr>J_<wbr>0=<wbr>0.001 kg.<wbr>m2"
+    assert identifier("sigma0.error<") == "sigma0.<wbr>error&lt;"
 
 
 def test_every_heading_has_an_address_of_its_own():

@@ -174,6 +174,22 @@ with _workers(1) as pool:
     assert int(done.stdout)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_interrupt_leaves_the_results_and_no_empty_folders(tmp_path, jobs):
+    cases = find_cases([scenario(tmp_path, "good")], range(1, 8), [["step=1 ms", "step=2 ms"]])
+
+    def interrupt(name, done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_suite(cases, tmp_path / "out", jobs=jobs, progress=interrupt)
+    left = [path for path in (tmp_path / "out").rglob("*") if path.is_dir()]
+    assert all(any(path.iterdir()) for path in left)
+    assert 2 <= sum(path.name == "good" for path in left) < len(cases)
+
+
 def test_nothing_runs_where_one_scenario_cannot(tmp_path):
     good, bad = scenario(tmp_path, "good"), scenario(tmp_path, "bad")
     bad.write_text(bad.read_text(encoding="utf-8").replace("error_percent", "eror_percent"), encoding="utf-8")
@@ -222,6 +238,15 @@ def test_pytest_keeps_results_of_scenarios_of_one_name_apart(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     found = {p.parent.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("result.json")}
     assert found == {"a/same", "b/same", "other"}
+
+
+def test_pytest_shows_no_report_of_a_scenario_that_cannot_run(tmp_path):
+    path = scenario(tmp_path, "typo")
+    path.write_text(path.read_text(encoding="utf-8").replace("rls", "rlss"), encoding="utf-8")
+    done = run_pytest(tmp_path)
+    assert done.returncode == 1
+    assert "did you mean" in done.stdout
+    assert "report:" not in done.stdout
 
 
 @pytest.mark.slow
