@@ -13,6 +13,8 @@ from bristle.common.plugins import plugin_files
 from bristle.common.toml import read_toml
 from bristle.common.work import TemporaryFolder
 
+PYTHON_PROJECT = "pyproject.toml"
+
 
 def scenario_files() -> dict[str, Path]:
     """Return the scenarios that come with bristle, and those in plug-in folders, by name in alphabetical order."""
@@ -52,6 +54,16 @@ def find_scenario(given: Path) -> Path:
         near = suggest(given.name, list(known))
         raise BristleError(f"scenario '{given}': no such file or name{near}; give a path or one of: {', '.join(known)}")
     return known[given.name]
+
+
+def is_scenario(path: Path) -> bool:
+    """True for a TOML file with a table [observer], and for one that is broken, which then fails; never for pyproject.toml."""
+    if path.name == PYTHON_PROJECT:
+        return False
+    try:
+        return "observer" in read_toml(path, "scenario file")[1]
+    except BristleError:
+        return True
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import math
 import multiprocessing
 import os
@@ -21,8 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from bristle.common.errors import BristleError
-from bristle.common.toml import read_toml
-from bristle.harness.catalogue import find_scenario
+from bristle.harness.catalogue import find_scenario, is_scenario
 from bristle.harness.run import Options, check, run
 from bristle.harness.values import refuse_conflicts
 
@@ -99,7 +99,8 @@ def find_cases(
     Parameters
     ----------
     given : sequence of Path
-        Files, names from ``bristle list``, or folders, of which all scenario files are taken (without sub-folders).
+        Files, names from ``bristle list``, or folders, of which all scenario files are taken (without sub-folders); others are
+        logged.
     seeds : sequence of int
         Seeds of the reference; none: that of the file.
     values : sequence of sequence of str
@@ -203,9 +204,13 @@ def _files(given: Path) -> list[Path]:
     """Return the scenario files that a path or a name stands for."""
     if not given.is_dir():
         return [find_scenario(given)]
-    found = [path for path in sorted(given.glob("*.toml")) if is_scenario(path)]
+    inside = sorted(given.glob("*.toml"))
+    found = [path for path in inside if is_scenario(path)]
     if not found:
         raise BristleError(f"{given}: no scenario file in this folder; a scenario is a .toml file with a table [observer]")
+    if others := [path.name for path in inside if path not in found]:
+        told = "%s: left out %d of %d .toml files, which have no table [observer]: %s"
+        logging.getLogger("bristle").warning(told, given, len(others), len(inside), ", ".join(others))
     return found
 
 
@@ -222,14 +227,6 @@ def _refuse_folders(of_key: Sequence[str]) -> None:
         other = taken.setdefault(name.casefold(), given)  # not all file systems tell capital letters
         if other != given:
             raise BristleError(f"vary '{given}': its result folder would be that of '{other}', {name}; leave one of them out")
-
-
-def is_scenario(path: Path) -> bool:
-    """True for a TOML file with a table [observer]; a file that is broken counts, so that its error is seen."""
-    try:
-        return "observer" in read_toml(path, "scenario file")[1]
-    except BristleError:
-        return True
 
 
 def _check(cases: Sequence[Case], out: Path, options: Options) -> None:

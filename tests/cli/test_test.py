@@ -47,3 +47,12 @@ def test_all_mistakes_are_said_before_anything_runs(call, tmp_path):
         code, _, err = call("test", tmp_path / "one.toml", *wrong, "--out", tmp_path / "out")
         assert code == 2
         assert len(err.strip().splitlines()) == 1
+
+
+def test_files_that_are_left_out_of_a_folder_are_named(call, tmp_path):
+    text = SCENARIO.replace("LIMIT", "-1")
+    (tmp_path / "good.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "misspelt.toml").write_text(text.replace("[observer]", "[obsrver]"), encoding="utf-8")
+    _, out, err = call("test", tmp_path, "-j", "1", "--out", tmp_path / "out")
+    assert "0 of 1 runs pass" in out
+    assert f"bristle: {tmp_path}: left out 1 of 2 .toml files, which have no table [observer]: misspelt.toml" in err

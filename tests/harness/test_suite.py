@@ -254,9 +254,13 @@ def test_pytest_collects_scenario_files_and_shows_the_verdict_table(tmp_path):
     scenario(tmp_path, "good")
     scenario(tmp_path, "strict", 1e-9)
     (tmp_path / "broken.toml").write_text("this is [no TOML", encoding="utf-8")
+    (tmp_path / "model.toml").write_text('friction = "coulomb"', encoding="utf-8")  # not a scenario
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "pyproject.toml").write_text("this is [no TOML", encoding="utf-8")  # of tools of Python
     done = run_pytest(tmp_path, "-n", "2")
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "1 failed, 1 passed" in done.stdout
+    assert "2 failed, 1 passed" in done.stdout
+    assert "broken.toml: not valid TOML: " in done.stdout
     assert "estimates.b.error_percent" in done.stdout
     assert "FAIL" in done.stdout
     assert "Traceback" not in done.stdout
