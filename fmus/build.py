@@ -6,6 +6,7 @@ The symbolic code is imported only if something must be built, so that `obtain` 
 from __future__ import annotations
 
 import importlib
+import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
@@ -220,3 +221,19 @@ def obtain(
         )  # fmt: skip
 
     return cached(f"{name}.fmu", make)
+
+
+def estimated(method: str) -> list[str]:
+    """Return the signals and parameters that an observer method estimates; its other outputs are always 0.
+
+    They are kept as a file of the cache, so that only the first call makes the equations; an unknown method is a `BristleError`.
+    """
+
+    def make(out: Path) -> None:
+        from bristle import observer
+
+        out.write_text(json.dumps(observer.estimated(method)), encoding="utf-8")
+
+    key = _key(code_offered(VARIANT_KIND["observer"], method), "estimated", method)
+    found: list[str] = json.loads(cached(f"estimated-{method}-{key[:24]}.json", make).read_text(encoding="utf-8"))
+    return found

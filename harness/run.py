@@ -44,6 +44,7 @@ Progress = Callable[[str, int, int], None]  # stage, done, total (0: not known)
 Simulate = Callable[[Bus, Callable[[int], None] | None, float | None], Trace]  # as `run_bus`
 
 SECOND_RUNS = ("validation", "tracking")  # parts of result.json that take one
+ESTIMATED = ("estimates", "states")  # parts that depend on what the observer estimates
 LATE_FRICTION = 0.25  # share of the run, at its end, that the friction curve shows
 
 
@@ -123,7 +124,9 @@ def check(
         refuse(out / loaded.name)
         with clock.stage("FMUs (built only if new)"):
             tell("building FMUs", 0, 0)
-            return check_loaded(loaded, find_fmus(loaded, options.fmi, options.kind), out, options, clock)
+            checked = check_loaded(loaded, find_fmus(loaded, options.fmi, options.kind), out, options, clock)
+            _check_estimated(checked.setup)
+            return checked
 
 
 def check_loaded(loaded: Loaded, fmus: dict[str, Fmu], out: Path, options: Options, clock: _Clock | None = None) -> Checked:
@@ -152,6 +155,24 @@ def _check_quantities(setup: Setup) -> None:
         if demand.quantity not in known:
             what = f"no number of the result{suggest(demand.quantity, known)}"
             raise setup.loaded.error(key, demand.quantity, f"{what}; choose one of the check quantities in the scenario reference")
+
+
+def _check_estimated(setup: Setup) -> None:
+    """Refuse a check of what the method does not estimate; an FMU from elsewhere shows that only when it runs."""
+    from bristle.fmus.build import estimated
+
+    observer, method = setup.fmus["observer"], setup.scenario.observer.method
+    if observer.foreign or method is None:
+        return
+    named = {i: each.quantity for i, each in enumerate(setup.scenario.checks) if each.quantity.split(".")[0] in ESTIMATED}
+    found = estimated(method) if named else []
+    for i, quantity in named.items():
+        part, name, _ = quantity.split(".")
+        if name not in found:
+            kind = metrics.STATES if part == "states" else [each for each in found if observer.has(f"{each}_valid", "output")]
+            others = [each for each in found if each in kind]
+            advice = f"it estimates {', '.join(others) or 'none'}: check one of these, or choose another method"
+            raise setup.loaded.error(f"checks[{i}].quantity", quantity, f"the method {method} does not estimate {name}; {advice}")
 
 
 def run(path: Path, out: Path, options: Options | None = None, progress: Progress | None = None) -> Run:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bristle.common.errors import BristleError, suggest
 from bristle.common.packages import offered
 from bristle.common.plugins import catalogue_modules
@@ -9,7 +11,7 @@ from bristle.model.declarations import checked_declarations, packaged_declaratio
 from bristle.model.program import Program
 from bristle.observer.method import Method, observer
 
-__all__ = ["methods", "observer_program"]
+__all__ = ["estimated", "methods", "observer_program"]
 
 
 def methods(packages: bool = False) -> dict[str, Method]:
@@ -34,8 +36,25 @@ def observer_program(method: str | None = None) -> Program:
         systems = [observer(each) for each in own.values()]
         about = "adaptive observer, chosen by the parameter method"
         return Program("AdaptiveObserver", systems, "method", about, chosen="bastin_gevers")
+    return Program(f"AdaptiveObserver_{method}", [observer(_chosen(method, own))])
+
+
+def estimated(method: str) -> list[str]:
+    """Return the signals and parameters that a method estimates, in the order of its outputs; its others are always 0.
+
+    Raises
+    ------
+    BristleError
+        If the method is unknown.
+    """
+    outputs = observer(_chosen(method, methods())).outputs
+    said = {name for name, (_, value) in outputs.items() if not value.is_zero()}
+    hats = [name.removesuffix("_hat") for name in outputs if name.endswith("_hat")]
+    return [name for name in hats if said & {f"{name}_{each}" for each in ("hat", "hat_valid", "valid", "sd")}]
+
+
+def _chosen(method: str, own: Mapping[str, Method]) -> Method:
     known = list(dict.fromkeys([*own, *offered("observers")]))
     if method not in known:
         raise BristleError(f"unknown observer '{method}'{suggest(method, known)}; known: {', '.join(known)}")
-    chosen = own[method] if method in own else packaged_declaration("observers", method, "METHOD", Method, own)
-    return Program(f"AdaptiveObserver_{method}", [observer(chosen)])
+    return own[method] if method in own else packaged_declaration("observers", method, "METHOD", Method, own)

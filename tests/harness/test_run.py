@@ -232,7 +232,8 @@ def test_an_observer_that_diverges_fails_with_the_time(base: str, scenario_file:
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_missing_quantity_fails(base: str, scenario_file: Maker, tmp_path: Path) -> None:
-    done = run(scenario_file(base.replace("estimates.b.", "estimates.sigma0.")), tmp_path / "out")
+    path = scenario_file(base.replace("estimates.b.", "estimates.Fc."))
+    done = run(path, tmp_path / "out", Options(overrides=["plant.law=viscous"]))
     assert not done.passed
     assert math.isnan(done.result["checks"][0]["value"])
 

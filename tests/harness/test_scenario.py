@@ -115,6 +115,11 @@ def test_only_a_record_needs_no_checks(base: str, scenario_file: Maker, message:
         ("verdict", "no number of the result; choose one of the check quantities in the scenario reference"),
         ("validation.mse_percent", "the scenario has no [validation]"),
         ("record.samples", "the scenario has no [record]"),
+        (
+            "estimates.sigma0.error_percent",
+            "the method bastin_gevers does not estimate sigma0; it estimates alpha2, b, Fc, load, delay: check one of these",
+        ),
+        ("states.w.rms", "the method bastin_gevers does not estimate w; it estimates v: check one of these"),
     ],
 )
 def test_a_check_of_a_number_that_there_is_not_is_refused(

@@ -33,7 +33,7 @@ PUBLIC = {
     "bristle.model.program": ["Program"],
     "bristle.model.system": ["DryRow", "System"],
     "bristle.model.variables": ["Namespace", "Parameter", "State", "Variable"],
-    "bristle.observer": ["methods", "observer_program"],
+    "bristle.observer": ["estimated", "methods", "observer_program"],
     "bristle.observer.method": [
         "EquationContext", "Method", "Sample", "Update", "delayed", "observer", "stack", "stack_symmetric", "symmetric_states",
         "unstack", "unstack_symmetric", "vector_states",

@@ -10,13 +10,20 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.model.native import Native
 from bristle.model.normalised import NORMALISED
-from bristle.observer import methods, observer_program
+from bristle.observer import estimated, methods, observer_program
 from bristle.plant.servo import servo_program
 
 STEP = 1e-3
 SET_S = {"alpha2": 2.0, "b": 6.5, "Fc": 4.0, "sigma0": 600.0, "sigma1": 800.0, "sigma2": 300.0, "c": 150.0}
 STEP1 = ("alpha2", "b", "Fc")
 STEP2 = ("sigma0", "sigma1", "sigma2", "c")
+
+
+def test_what_a_method_estimates_is_known_without_a_run() -> None:
+    assert estimated("rls") == ["v", "alpha2", "b", "Fc", "load", "delay"]
+    assert estimated("two_step_printed") == ["v", "w", "F", "alpha2", "b", "Fc", "sigma0", "sigma1", "sigma2", "c"]  # never valid
+    with pytest.raises(BristleError, match="did you mean 'rls'"):
+        estimated("rlss")
 
 
 @lru_cache(maxsize=4)
