@@ -27,10 +27,15 @@ def as_path(name: str, given: object) -> Path:
 def filled_path(text: str | Path) -> Path:
     """Return the path that an option of a command gives.
 
-    Empty text is refused: it comes from a variable of the shell that is not set, and would be the current folder.
+    Empty text is refused: it comes from a variable of the shell that is not set, and would be the current folder. So is "-", which
+    elsewhere stands for the standard input or output, and would be a file of this name.
     """
     if not str(text):
         raise BristleError("it is empty; give a path")
+    if text == "-":
+        raise BristleError(
+            "- is no path; give that of a file, such as /dev/stdout for the standard output, or ./- for one called -"
+        )
     return Path(text)
 
 

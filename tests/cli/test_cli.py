@@ -136,6 +136,20 @@ def test_an_empty_path_is_not_the_current_folder(
     one_line(inside(*arguments), f"Invalid value for '{option}': it is empty; give a path; see bristle {arguments[0]} --help")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (["test", "quick", "--json", "-"], "--json"), (["test", "quick", "--junit", "-"], "--junit"), (["run", "-"], "SCENARIO"),
+        (["check", "a.fmu", "--json", "-"], "--json"), (["diff", "a.fmu", "b.fmu", "--json", "-"], "--json"),
+    ],
+)  # fmt: skip
+def test_a_hyphen_is_no_file(
+    inside: Cli, arguments: list[str], option: str, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(temporary)
+    one_line(inside(*arguments), f"Invalid value for '{option}': - is no path; give that of a file, such as /dev/stdout")
+
+
 def test_results_are_in_out_where_no_folder_is_given(
     inside: Cli, case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
