@@ -220,10 +220,8 @@ def _refuse_folders(of_key: Sequence[str]) -> None:
     for given in of_key:
         name = _file_name(given)
         if len(name.encode()) > LONGEST_NAME:
-            advice = f"may have {LONGEST_NAME} bytes; give a shorter value, or set it in a file of its own"
-            raise BristleError(
-                f"vary '{given[:60]}...': its result folder would have a name of {len(name.encode())} bytes, {advice}"
-            )
+            what = f"its result folder would need a name of {len(name.encode())} bytes, allowed are {LONGEST_NAME}"
+            raise BristleError(f"vary '{given[:60]}...': {what}; give a shorter value")
         other = taken.setdefault(name.casefold(), given)  # not all file systems tell capital letters
         if other != given:
             raise BristleError(f"vary '{given}': its result folder would be that of '{other}', {name}; leave one of them out")

@@ -93,7 +93,7 @@ def test_cases_are_all_combinations(tmp_path):
     [
         (["title=a b", "title=a_b"], "vary 'title=a_b': its result folder would be that of 'title=a b', title=a_b"),
         (["title=A", "title=a"], "vary 'title=a': its result folder would be that of 'title=A'"),
-        (["title=b", "title=" + "x" * 20000], r"vary 'title=x{54}\.\.\.': .* 20006 bytes, may have 255"),
+        (["title=b", "title=" + "x" * 20000], r"vary 'title=x{54}\.\.\.': .* 20006 bytes, allowed are 255"),
         (["title=" + "é" * 130], r"of 266 bytes"),
     ],
 )
