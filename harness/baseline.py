@@ -19,7 +19,7 @@ from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.metrics import look_up
 from bristle.harness.repeats import Repeat, Repeated, repeats
-from bristle.harness.results import THINNED_ROWS, thinned
+from bristle.harness.results import THINNED_ROWS, missing, rows_of, thinned
 from bristle.harness.run import Checked, outcome
 from bristle.harness.tube import SAFETY, WRITTEN_SHARE, Spread
 
@@ -255,6 +255,8 @@ def read_baseline(folder: Path) -> Baseline:
             raise ValueError(shape)
         quantities = {path: Judged(**each) for path, each in tree["quantities"].items()}
         runs = tree["runs"]
+        if missing(rows, thinned(rows_of(result))):
+            raise ValueError(rows)
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
         raise BristleError(f"{folder}: is no complete baseline; make it again with bristle accept") from None
     signals = Signals(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.baseline import Baseline, Judged, Signals, least_tolerance, quantities_of, read_baseline, read_json
 from bristle.harness.metrics import look_up
+from bristle.harness.results import missing, rows_of, thinned
 from bristle.harness.tube import written_margin
 
 Array = NDArray[np.float64]
@@ -74,13 +76,15 @@ class SignalCourse:
 class Comparison:
     """Verdicts of all signals and numbers, what makes both incomparable, and what is said without being judged.
 
-    `made` holds where A and B come from, as of their result.json; `command` repeats the comparison.
+    `rows` instants were compared, of `instants` that A has. `made` holds where A and B come from, as of their result.json;
+    `command` repeats the comparison.
     """
 
     first: str
     second: str
     scenario: str
     rows: int
+    instants: int
     refused: tuple[str, ...]
     signals: tuple[SignalVerdict, ...]
     quantities: tuple[QuantityVerdict, ...]
@@ -111,15 +115,17 @@ def read_side(folder: Path) -> tuple[Baseline, bool]:
         return read_baseline(folder), True
     result = read_json(folder / "result.json")
     try:
-        step, steps = float(result["step_s"]), int(result["steps"])
+        step, total = float(result["step_s"]), rows_of(result)
+        if not (0 < step < np.inf and total > 0):
+            raise ValueError(step, total)
         quantities = {
             path: each if each.value is None else _least(path, each, step) for path, each in quantities_of(result).items()
         }
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
         raise BristleError(
             f"{folder / 'result.json'}: is no result of bristle run; give its result folder, or a baseline"
         ) from None
-    rows, values = _read_signals(folder / "signals.csv", step, steps)
+    rows, values = _read_signals(folder / "signals.csv", step, total)
     lower = {name: each - written_margin(each) for name, each in values.items()}
     upper = {name: each + written_margin(each) for name, each in values.items()}
     return Baseline(result, Signals(rows, values, lower, upper), quantities, ()), False
@@ -130,24 +136,34 @@ def _least(path: str, each: Judged, step: float) -> Judged:
     return Judged(each.unit, each.value, least_tolerance(path, each.value, step), each.why)
 
 
-def _read_signals(path: Path, step: float, steps: int) -> tuple[NDArray[np.int64], dict[str, Array]]:
-    """Return rows and signals of signals.csv, which may hold nan."""
+def _read_signals(path: Path, step: float, total: int) -> tuple[NDArray[np.int64], dict[str, Array]]:
+    """Return rows and signals of signals.csv, which may hold nan, of a run of `total` rows."""
     try:
-        with path.open(encoding="utf-8") as stream:
+        with path.open(encoding="utf-8") as stream, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of no data: an error below
             head = stream.readline().rstrip("\n").split(",")
             table = np.loadtxt(stream, delimiter=",", ndmin=2)
     except OSError as error:
         raise BristleError(f"{path}: {error.strerror}; give a result folder of bristle run") from None
     except ValueError as error:
         raise BristleError(f"{path}: no table of numbers ({error}); run the scenario again") from None
+    if not table.size:
+        raise BristleError(f"{path}: no numbers below its head; run the scenario again")
     if head[0] != "time" or len(set(head)) != len(head) or table.shape[1:] != (len(head),) or not np.isfinite(table[:, 0]).all():
         raise BristleError(f"{path}: must have a head with one name a column, time first; run the scenario again")
     place = table[:, 0] / step
+    if (np.diff(place) <= 0).any() or place[0] < -0.5 or place[-1] > total - 0.5:
+        last = (total - 1) * step
+        raise BristleError(f"{path}: its times must rise, from 0 to {last:g} s as result.json says; run the scenario again")
     rows = place.round().astype(np.int64)
-    if len(rows) < 1 or (np.diff(rows) <= 0).any() or rows[0] < 0 or rows[-1] > steps:
-        raise BristleError(f"{path}: its times must rise, from 0 to {steps * step:g} s as result.json says; run the scenario again")
     if np.abs(place - rows).max() > DURATION_SLACK * max(1.0, float(rows[-1])):
         raise BristleError(f"{path}: its times are no multiples of the step of result.json, {step:g} s; run the scenario again")
+    written = thinned(total)
+    if lost := missing(rows, written if np.isin(rows, written).all() else np.arange(total)):
+        raise BristleError(
+            f"{path}: {lost.count} of {lost.total} instants are missing, "
+            f"the first at {lost.first * step:g} s; run the scenario again"
+        )
     return rows, dict(zip(head[1:], table.T[1:], strict=True))
 
 
@@ -173,10 +189,12 @@ def compare_sides(a: Baseline, b: Baseline) -> Comparison:
     notes, refused, scenario = _origins(a.result, b.result), _refused(a.result, b.result), str(a.result["scenario"])
     made = _made(a.result), _made(b.result)
     rows, at_a, at_b = np.intersect1d(a.signals.rows, b.signals.rows, assume_unique=True, return_indices=True)
-    if not refused and not len(rows):
-        refused = ("they have no time in common; run B again with --full",)
+    if not refused and (lost := missing(rows, thinned(rows_of(a.result)))):
+        first = lost.first * float(a.result["step_s"])
+        refused = (f"B lacks {lost.count} of {lost.total} instants of A, the first at {first:g} s; run the scenario of B again",)
+    instants = len(a.signals.rows)
     if refused:
-        return Comparison("A", "B", scenario, 0, refused, (), (), tuple(notes), {}, made)
+        return Comparison("A", "B", scenario, 0, instants, refused, (), (), tuple(notes), {}, made)
     new = [name for name in b.signals.values if name not in a.signals.values]
     notes += [f"signals that only B has, not judged: {', '.join(new)}"] if new else []
     time = np.asarray(rows * float(a.result["step_s"]), dtype=np.float64)
@@ -189,7 +207,7 @@ def compare_sides(a: Baseline, b: Baseline) -> Comparison:
         courses[name] = SignalCourse(time, expected[at_a], lower, upper, b.signals.values[name][at_b])
         signals.append(judge_signal(name, courses[name]))
     quantities = tuple(judge_quantity(path, each, b.quantities.get(path)) for path, each in a.quantities.items())
-    return Comparison("A", "B", scenario, len(rows), (), tuple(signals), quantities, tuple(notes), courses, made)
+    return Comparison("A", "B", scenario, len(rows), instants, (), tuple(signals), quantities, tuple(notes), courses, made)
 
 
 def _made(result: Mapping[str, Any]) -> dict[str, Any]:
@@ -204,8 +222,10 @@ def _refused(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[str, ...]:
     if abs(steps - others) > 1e-9 * steps:
         return (f"the communication step is {steps:g} s in A and {others:g} s in B",)
     if a["steps"] != b["steps"]:
-        early = f": it ended early, {b['diverged']['message']}" if "diverged" in b else ""
-        return (f"A lasts {a['steps'] * steps:g} s, B {b['steps'] * steps:g} s{early}",)
+        early = [
+            f"; {name} ended early: {each['diverged']['message']}" for name, each in (("A", a), ("B", b)) if "diverged" in each
+        ]
+        return (f"A lasts {a['steps'] * steps:g} s, B {b['steps'] * steps:g} s{''.join(early)}",)
     return ()
 
 
@@ -293,7 +313,8 @@ def comparison_json(found: Comparison) -> bytes:
         plain(
             {
                 "scenario": found.scenario, "verdict": "pass" if found.passed else "differs", "first": found.first,
-                "second": found.second, "rows": found.rows, "refused": list(found.refused), "notes": list(found.notes),
+                "second": found.second, "rows": found.rows, "instants": found.instants,
+                "refused": list(found.refused), "notes": list(found.notes),
                 "signals": [_row(each) for each in found.signals], "quantities": [_row(each) for each in found.quantities],
                 "provenance": {**provenance(), "command": found.command, "first": found.made[0], "second": found.made[1]},
             }

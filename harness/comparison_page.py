@@ -20,7 +20,7 @@ def render(found: Comparison) -> str:
     """Return the page."""
     head = badge("good", "pass") if found.passed else badge("bad", "differs")
     inside, judged = counts(found.signals)
-    lead = f"{inside} of {judged} signals inside their tubes at {found.rows} times"
+    lead = f"{inside} of {judged} signals inside their tubes at {found.rows} of the {found.instants} instants of A"
     parts = [
         f"<header><h1>{escape(found.scenario)} against its reference {head}</h1>"
         f"<p class='lead'>{lead}. A: {escape(found.first)}; B: {escape(found.second)}</p></header>"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,27 @@ def to_csv(columns: Mapping[str, NDArray[np.float64]], full: bool) -> str:
 def thinned(rows: int, kept: int = THINNED_ROWS) -> NDArray[np.intp]:
     """Return which rows of a run are kept where not all are, evenly spread."""
     return np.unique(np.linspace(0, rows - 1, min(rows, kept)).round().astype(np.intp))
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Rows that a table of signals lacks: how many of how many, and the first."""
+
+    count: int
+    total: int
+    first: int
+
+
+def rows_of(result: Mapping[str, Any]) -> int:
+    """Return how many rows a run has at full rate: one a step and the start, for which a record has none."""
+    steps = int(result["steps"])
+    return max(steps, 1) if "record" in result else steps + 1
+
+
+def missing(rows: NDArray[np.int64], needed: NDArray[np.int64]) -> Missing | None:
+    """Return what rows lack of those that are needed, shape (n,), both rising; None if nothing."""
+    lost = np.setdiff1d(needed, rows, assume_unique=True)
+    return Missing(len(lost), len(needed), int(lost[0])) if len(lost) else None
 
 
 def refuse_strange(target: Path) -> None:

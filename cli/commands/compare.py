@@ -37,7 +37,8 @@ def compare(
     inside, judged = counts(found.signals)
     same = [each.passed for each in found.quantities if each.passed is not None]
     verdict = "pass" if found.passed else "differs"
-    print(f"{found.scenario:<24} {verdict}  {inside} of {judged} signals, {sum(same)} of {len(same)} numbers  {report}")
+    instants = f"at {found.rows} of {found.instants} instants"
+    print(f"{found.scenario:<24} {verdict}  {inside} of {judged} signals {instants}, {sum(same)} of {len(same)} numbers  {report}")
     for line in differences(found):
         print(f"  {line}")
     for line in found.notes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,17 @@ import pytest
 
 from bristle.common.signals import Array, table_text
 from bristle.harness.baseline import Baseline, Judged, make_baseline, measured_quantities, read_baseline, write_baseline
-from bristle.harness.comparison import Comparison, compare_folders, comparison_json, differences, judge_quantity, write_comparison
+from bristle.harness.comparison import (
+    Comparison,
+    compare_folders,
+    compare_sides,
+    comparison_json,
+    differences,
+    judge_quantity,
+    write_comparison,
+)
 from bristle.harness.repeats import Repeat, built, repeats, run_again, run_rounded, toolchains
+from bristle.harness.results import thinned
 from bristle.harness.run import Checked, Options, check, run
 from bristle.harness.tube import SAFETY
 
@@ -104,8 +114,8 @@ def test_what_is_stored_is_what_was_made(accepted: tuple[Path, Baseline]) -> Non
 
 
 def test_a_rerun_passes_at_full_rate_and_thinned(accepted: tuple[Path, Baseline], full: Path, place: Path) -> None:
-    thinned = run(place / "stick.toml", place / "thinned").folder
-    for folder, rows in ((full, len(accepted[1].signals.rows)), (thinned, 2000), (accepted[0], len(accepted[1].signals.rows))):
+    fewer = run(place / "stick.toml", place / "thinned").folder
+    for folder, rows in ((full, len(accepted[1].signals.rows)), (fewer, 2000), (accepted[0], len(accepted[1].signals.rows))):
         found = compare_folders(accepted[0], folder)
         assert found.passed, differences(found)
         assert found.rows == rows
@@ -190,6 +200,43 @@ def test_another_duration_and_another_rate_are_said_in_one_line(accepted: tuple[
         assert not found.passed
         assert found.refused == (line,)
         assert json.loads(comparison_json(found))["verdict"] == "differs"
+
+
+@pytest.mark.parametrize(
+    ("kept", "said"),
+    [
+        (slice(0, 1), "1999 of 2000 instants are missing, the first at 0.003 s"),  # a row of thinned tables, too
+        (slice(0, 2700), "3301 of 6001 instants are missing, the first at 2.7 s"),
+        (slice(1, None), "1 of 6001 instants are missing, the first at 0 s"),
+        (np.delete(np.arange(6001), slice(1000, 1700)), "700 of 6001 instants are missing, the first at 1 s"),
+        (np.delete(thinned(6001), slice(500, 1200)), "700 of 2000 instants are missing, the first at 1.501 s"),
+    ],
+)
+def test_a_run_of_which_rows_are_missing_is_refused_on_both_sides(
+    accepted: tuple[Path, Baseline], full: Path, altered: Any, message: Message, kept: Any, said: str
+) -> None:
+    def edit(columns: dict[str, Array]) -> None:
+        columns.update({name: values[kept] for name, values in columns.items()})
+
+    folder = altered(edit)
+    for sides in ((accepted[0], folder), (folder, full)):
+        assert f"signals.csv: {said}; run the scenario again" in message(lambda sides=sides: compare_folders(*sides))
+
+
+def test_sides_without_the_instants_of_the_reference_are_refused(accepted: tuple[Path, Baseline]) -> None:
+    made = accepted[1]
+    few = replace(made, signals=replace(made.signals, rows=made.signals.rows[:1]))
+    assert compare_sides(made, few).refused == (
+        "B lacks 1999 of 2000 instants of A, the first at 0.003 s; run the scenario of B again",
+    )
+
+
+def test_how_many_instants_were_compared_is_said(full: Path, place: Path, tmp_path: Path) -> None:
+    found = compare_folders(full, run(place / "stick.toml", place / "counted").folder)
+    assert (found.rows, found.instants) == (2000, 6001)
+    assert "at 2000 of the 6001 instants of A" in write_comparison(found, tmp_path).read_text(encoding="utf-8")
+    tree = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
+    assert (tree["rows"], tree["instants"]) == (2000, 6001)
 
 
 def test_where_results_come_from_is_said_in_words(accepted: tuple[Path, Baseline], full: Path, tmp_path: Path) -> None:
@@ -325,6 +372,11 @@ def test_a_run_that_ends_early_is_no_reference(
     text = base.replace(parameters, "").replace('law = "modified"', f'fmu = "{tiny_fmu("error")}"')
     checked = check(scenario_file(text), tmp_path)
     assert "a reference needs a run that reaches its end" in message(lambda: make_baseline(checked, ways=[]))
+    early = run(tmp_path / "case.toml", tmp_path / "early").folder
+    whole = run(tmp_path / "case.toml", tmp_path / "whole", Options(overrides=["duration=0.3 s"])).folder
+    assert compare_folders(early, early).passed  # up to where both ended
+    assert "A lasts 0.3 s, B 0.5 s; B ended early: " in compare_folders(whole, early).refused[0]
+    assert "A lasts 0.5 s, B 0.3 s; A ended early: " in compare_folders(early, whole).refused[0]
 
 
 def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
@@ -334,6 +386,10 @@ def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
     damaged = tmp_path / "damaged"
     shutil.copytree(accepted[0], damaged)
     (damaged / "signals.npz").write_bytes((accepted[0] / "signals.npz").read_bytes()[:500])
+    assert "is no complete baseline" in message(lambda: compare_folders(damaged, full))
+    with np.load(accepted[0] / "signals.npz") as content:
+        short = {name: values[..., :900] if values.ndim == 2 or name == "rows" else values for name, values in content.items()}
+    np.savez_compressed(damaged / "signals.npz", **short)
     assert "is no complete baseline" in message(lambda: compare_folders(damaged, full))
     other = tmp_path / "other"
     shutil.copytree(full, other)
