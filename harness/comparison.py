@@ -126,8 +126,9 @@ def read_side(folder: Path) -> tuple[Baseline, bool]:
             f"{folder / 'result.json'}: is no result of bristle run; give its result folder, or a baseline"
         ) from None
     rows, values = _read_signals(folder / "signals.csv", step, total)
-    lower = {name: each - written_margin(each) for name, each in values.items()}
-    upper = {name: each + written_margin(each) for name, each in values.items()}
+    with np.errstate(invalid="ignore", over="ignore"):  # of what is no number, which has no bounds
+        lower = {name: each - written_margin(each) for name, each in values.items()}
+        upper = {name: each + written_margin(each) for name, each in values.items()}
     return Baseline(result, Signals(rows, values, lower, upper), quantities, ()), False
 
 
@@ -151,10 +152,10 @@ def _read_signals(path: Path, step: float, total: int) -> tuple[NDArray[np.int64
         raise BristleError(f"{path}: no numbers below its head; run the scenario again")
     if head[0] != "time" or len(set(head)) != len(head) or table.shape[1:] != (len(head),) or not np.isfinite(table[:, 0]).all():
         raise BristleError(f"{path}: must have a head with one name a column, time first; run the scenario again")
-    place = table[:, 0] / step
-    if (np.diff(place) <= 0).any() or place[0] < -0.5 or place[-1] > total - 0.5:
-        last = (total - 1) * step
+    time, last = table[:, 0], (total - 1) * step
+    if (np.diff(time) <= 0).any() or time[0] < -0.5 * step or time[-1] > last + 0.5 * step:
         raise BristleError(f"{path}: its times must rise, from 0 to {last:g} s as result.json says; run the scenario again")
+    place = time / step
     rows = place.round().astype(np.int64)
     if np.abs(place - rows).max() > DURATION_SLACK * max(1.0, float(rows[-1])):
         raise BristleError(f"{path}: its times are no multiples of the step of result.json, {step:g} s; run the scenario again")
@@ -270,8 +271,9 @@ def judge_signal(name: str, course: SignalCourse) -> SignalVerdict:
     judged = known & ~open_
     if not judged.any():
         return SignalVerdict(name, True, why="not judged: repeated runs have no number there")
-    over = (course.values - course.reference) / (course.upper - course.reference)
-    under = (course.reference - course.values) / (course.reference - course.lower)
+    with np.errstate(invalid="ignore", over="ignore"):  # where nothing is judged
+        over = (course.values - course.reference) / (course.upper - course.reference)
+        under = (course.reference - course.values) / (course.reference - course.lower)
     share = np.where(judged, np.maximum(over, under), -np.inf)
     k = int(np.argmax(share))
     passed, worst = bool(share[k] <= 1.0), max(0.0, float(share[k]))

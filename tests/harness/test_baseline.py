@@ -164,6 +164,17 @@ def test_a_signal_without_a_number_fails(accepted: tuple[Path, Baseline], altere
     assert "b_hat at 0.1 s: it is nan" in differences(found)[0]
 
 
+def test_what_is_infinite_fails_in_b_and_is_not_judged_in_a(full: Path, altered: Any) -> None:
+    """No warning of numpy is said of either: the tests turn them into errors."""
+
+    def edit(columns: dict[str, Array]) -> None:
+        columns["v"][100] = np.inf
+
+    folder = altered(edit)
+    assert failed(compare_folders(full, folder)) == {"v"}
+    assert compare_folders(folder, full).passed
+
+
 def test_a_missing_signal_fails_and_a_new_one_is_said(accepted: tuple[Path, Baseline], altered: Any) -> None:
     def edit(columns: dict[str, Array]) -> None:
         columns["F_new"] = columns.pop("F")
@@ -397,6 +408,10 @@ def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
     assert "its times must rise" in message(lambda: compare_folders(other, full))
     (other / "signals.csv").write_text("time,u\n0,1\n0.0015,2\n", encoding="utf-8")
     assert "no multiples of the step" in message(lambda: compare_folders(other, full))
+    (other / "signals.csv").write_text("time,u\n", encoding="utf-8")
+    assert "no numbers below its head" in message(lambda: compare_folders(other, full))
+    (other / "signals.csv").write_text("time,u\n0,1\n1e300,1\n", encoding="utf-8")
+    assert "its times must rise, from 0 to 6 s" in message(lambda: compare_folders(other, full))
     (other / "signals.csv").write_text("time,u\n0,one\n", encoding="utf-8")
     assert "no table of numbers" in message(lambda: compare_folders(other, full))
     (other / "result.json").write_text("[]", encoding="utf-8")
