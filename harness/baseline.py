@@ -30,6 +30,7 @@ BASELINE_FILES = ("baseline.json", "result.json", "scenario.toml", "signals.npz"
 BASELINE_BYTES = 4_000_000  # of the signals of a baseline, before they are packed
 BYTES_A_SAMPLE = 16  # a value and two margins
 JUDGED_ESTIMATE = ("final", "error_percent", "settling_s")  # numbers of each estimate that are judged
+SHOWN_VALUE = 30  # characters of a value that is no number, in a message
 SETTLING_STEPS = 1.0  # steps by which a settling time may differ at least: it is one of the sampled times
 
 
@@ -104,7 +105,7 @@ def make_baseline(checked: Checked, progress: Told | None = None, ways: Sequence
             found.append(again.result)
     if not found:
         raise BristleError(f"{checked.setup.loaded.path}: it cannot be run again, {runs[0]['why'] if runs else 'in no way'}")
-    return Baseline(first.result, _stored(spread), measured_quantities(first.result, found), runs)
+    return Baseline(first.result, _stored(spread), measured_quantities(plain(first.result), found), runs)
 
 
 def _tried(way: Repeat) -> tuple[Repeated | None, str]:
@@ -148,20 +149,33 @@ def quantities_of(result: Mapping[str, Any]) -> dict[str, Judged]:
             value = _number(estimate[key])
             found[f"estimates.{name}.{key}"] = Judged(unit, value, why="" if value is not None else _absent(estimate, key))
     for name, each in result.get("behaviour", {}).items():
-        found[f"behaviour.{name}"] = Judged(each["unit"], _number(each["value"]), why=each.get("why", ""))
+        value = _number(each["value"])
+        why = each.get("why") or _unreadable(each["value"])
+        found[f"behaviour.{name}"] = Judged(each["unit"], value, why="" if value is not None else why)
     return found
 
 
 def _absent(estimate: Mapping[str, Any], key: str) -> str:
+    """Return why a number of an estimate does not exist."""
+    if estimate[key] is not None:
+        return _unreadable(estimate[key])
     if not estimate["valid"] and key != "settling_s":
         return "the observer calls the estimate not valid at the end"
-    if not _number(estimate["true"]):
-        return "there is no true value" if estimate["true"] is None else "the true value is 0"
-    return "it is not settled at the end"
+    if key != "final" and estimate["true"] is None:
+        return "there is no true value"
+    if key != "final" and estimate["true"] == 0:
+        return "the true value is 0"
+    return "it is not settled at the end" if key == "settling_s" else _unreadable(None)
+
+
+def _unreadable(value: object) -> str:
+    """Return why a value of result.json is no number."""
+    return f"result.json has {json.dumps(value)[:SHOWN_VALUE]} there, no number"
 
 
 def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+    known = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if known else None
 
 
 def measured_quantities(result: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> dict[str, Judged]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +14,15 @@ import numpy as np
 import pytest
 
 from bristle.common.signals import Array, table_text
-from bristle.harness.baseline import Baseline, Judged, make_baseline, measured_quantities, read_baseline, write_baseline
+from bristle.harness.baseline import (
+    Baseline,
+    Judged,
+    make_baseline,
+    measured_quantities,
+    quantities_of,
+    read_baseline,
+    write_baseline,
+)
 from bristle.harness.comparison import (
     Comparison,
     compare_folders,
@@ -315,6 +324,30 @@ def test_numbers_exist_in_all_repeated_runs_in_none_or_are_not_judged() -> None:
     assert judge_quantity("behaviour.x", known, None).passed is False
     assert judge_quantity("behaviour.x", judged(None, None), Judged("s", 1.0)).passed is False
     assert judge_quantity("behaviour.x", judged(None, None), Judged("s", None)).passed is None
+
+
+def test_a_number_that_does_not_exist_has_its_own_reason() -> None:
+    def whys(behaviour: Any = 1.0, **changed: Any) -> dict[str, str]:
+        estimate = {"unit": "1/s", "valid": True, "true": 2.0, "final": 2.1, "error_percent": 5.0, "settling_s": 0.5} | changed
+        found = quantities_of({"estimates": {"p": estimate}, "behaviour": {"x": {"unit": "s", "value": behaviour}}})
+        return {path.rpartition(".")[2]: each.why for path, each in found.items() if each.value is None}
+
+    assert whys() == {}
+    assert whys(math.nan, final="2.1", error_percent=math.nan, settling_s=True) == {
+        "final": 'result.json has "2.1" there, no number',
+        "error_percent": "result.json has NaN there, no number",
+        "settling_s": "result.json has true there, no number",
+        "x": "result.json has NaN there, no number",
+    }
+    assert whys(final=None, error_percent=None, settling_s=None) == {
+        "final": "result.json has null there, no number",
+        "error_percent": "result.json has null there, no number",
+        "settling_s": "it is not settled at the end",
+    }
+    invalid = "the observer calls the estimate not valid at the end"
+    assert whys(valid=False, final=None, settling_s=None) == {"final": invalid, "settling_s": "it is not settled at the end"}
+    for true, why in ((None, "there is no true value"), (0.0, "the true value is 0")):
+        assert whys(true=true, error_percent=None, settling_s=None) == {"error_percent": why, "settling_s": why}
 
 
 def test_other_compilers_and_flags_make_other_files_and_only_fusing_changes_digits(place: Path) -> None:
