@@ -1,4 +1,4 @@
-"""Where a result comes from: version, date and platform of the run that made it."""
+"""Where a result comes from: version, date, platform and folder of the run that made it."""
 
 from __future__ import annotations
 
@@ -19,9 +19,16 @@ def _version() -> str:
 
 
 def provenance() -> dict[str, Any]:
-    """Return version of the library, date and time in UTC, and platform, for the key `provenance` of a result."""
-    machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    return {"version": _version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "platform": machine}
+    """Return what the key `provenance` of a result begins with.
+
+    Version of the library, date and time in UTC, platform, and the folder to which relative paths of a command belong, null if it
+    is gone.
+    """
+    machine, folder = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}", None
+    with suppress(OSError):
+        folder = str(Path.cwd())
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"version": _version(), "date": now, "platform": machine, "folder": folder}
 
 
 def provenance_of(model: Path | None, records: Iterable[Path], command: str = "", fmu: Path | None = None) -> dict[str, Any]:

@@ -226,8 +226,8 @@ def _system(setup: Setup, bus: Bus) -> SystemStructure:
 def _content(setup: Setup, found: Outcome) -> dict[str, bytes]:
     """Return reference signals, verdict and stimuli."""
     about = {key: found.result[key] for key in ("scenario", "verdict", "checks", "estimates")}
-    # the command names folders of this machine
-    made = {key: each for key, each in found.result["provenance"].items() if key != "command"}
+    # command and folder name folders of this machine
+    made = {key: each for key, each in found.result["provenance"].items() if key not in {"command", "folder"}}
     about |= {"provenance": made}
     files = {REFERENCE_SIGNALS: _signals(found.view.trace).encode(), VERDICT: to_json(about).encode()}
     if _tabulated(setup):

@@ -166,9 +166,15 @@ def _participants(result: Mapping[str, Any]) -> str:
 
 
 def _provenance(result: Mapping[str, Any]) -> str:
-    """Return version, date, platform, seed and the command that repeats the run."""
+    """Return version, date, platform, seed, and the command that repeats the run in the folder it ran in."""
     found = result["provenance"]
-    keys = (("version", "version"), ("date", "date"), ("platform", "platform"), ("seed", "seed of the reference"))
+    keys = (
+        ("version", "version"),
+        ("date", "date"),
+        ("platform", "platform"),
+        ("seed", "seed of the reference"),
+        ("folder", "folder"),
+    )
     rows = [f"<dt>{text}</dt><dd>{escape(str(found[key]))}</dd>" for key, text in keys if found[key] is not None]
     rows.append(f"<dt>command</dt><dd><code>{escape(found['command'])}</code></dd>")
     rows.append(f'<dt>sha256 of the scenario</dt><dd><code class="sub">{found["scenario_sha256"]}</code></dd>')

@@ -390,7 +390,7 @@ def _second_run(checked: Checked, bus: Bus, key: str) -> Trace:
 
 
 def _provenance(checked: Checked) -> dict[str, Any]:
-    """Return where the result comes from; `command` repeats the run."""
+    """Return where the result comes from; `command` repeats the run in `folder`."""
     setup, options = checked.setup, checked.options
     loaded, controller = setup.loaded, setup.fmus.get("controller")
     seed = None

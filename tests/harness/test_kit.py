@@ -63,6 +63,7 @@ def test_what_is_exported_is_the_run_of_the_scenario(kit):
     verdict = json.loads((kit / "out" / "reference" / "verdict.json").read_text(encoding="utf-8"))
     assert verdict["verdict"] == done.result["verdict"]
     assert verdict["checks"] == json.loads((done.folder / "result.json").read_text(encoding="utf-8"))["checks"]
+    assert not {"command", "folder"} & set(verdict["provenance"])  # which name folders of this machine
     page = (kit / "out" / "README.md").read_text(encoding="utf-8")
     assert "| controller.u | plant.u |" in page
     assert "| plant.theta_enc | observer.y_theta |" in page

@@ -116,7 +116,7 @@ def test_result_json_keeps_the_contract(finished: Run) -> None:
     assert result["wall_s"] > 0
     assert set(result["estimates"]) >= {"alpha2", "b", "Fc"}
     assert {"unit", "true", "final", "sd", "valid", "adapted", "error_percent", "settling_s"} <= set(result["estimates"]["b"])
-    assert set(result["provenance"]) == {"version", "date", "platform", "scenario_sha256", "seed", "command"}
+    assert set(result["provenance"]) == {"version", "date", "platform", "folder", "scenario_sha256", "seed", "command"}
     assert {"mse_percent", "linear_mse_percent", "coulomb_mse_percent", "floor_mse_percent"} <= set(result["validation"])
     assert {"name", "value", "limit", "pass"} <= set(result["checks"][0])
     assert set(result["fmus"]) == {"plant", "controller", "observer"}
@@ -138,6 +138,20 @@ def test_provenance_repeats_the_run(base: str, scenario_file: Maker, tmp_path: P
     assert " ".join(words[3:7]) == f"--out {tmp_path / 'out'} --kind native"
     assert words[-2:] == ["--seed", "4"]
     assert run(path, tmp_path / "out").result["provenance"]["seed"] == 1
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_relative_command_repeats_the_run_from_its_folder(
+    base: str, scenario_file: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = scenario_file(base)
+    monkeypatch.chdir(path.parent)
+    done = run(Path(path.name), Path("out"), Options(overrides=["duration=1 s"]))
+    found = done.result["provenance"]
+    words = shlex.split(found["command"])
+    assert Path(found["folder"], words[2]) == path
+    assert Path(found["folder"], words[4]) == path.parent / "out"
+    assert path.parent.name in (done.folder / "report.html").read_text()
 
 
 def test_the_truth_grows_with_the_load(finished: Run) -> None:
