@@ -13,6 +13,7 @@ from bristle.common.columns import Columns as Columns
 from bristle.common.containers import read_hdf5, read_mat, read_npy, read_npz, read_parquet, read_xlsx
 from bristle.common.delimited import is_number, read_delimited
 from bristle.common.errors import BristleError, suggest
+from bristle.common.files import check_regular
 from bristle.common.units import parse_unit
 
 SHOWN_LETTERS, SHOWN_NAMES = 40, 20  # letters of a column name, and column names, that an error message shows at most
@@ -28,8 +29,7 @@ def read_columns(path: Path) -> Columns:
     """
     if path.is_dir():
         raise BristleError(f"record {path}: is a folder; give a file, or the pattern '{path}/*.csv'")
-    if path.exists() and not path.is_file():
-        raise BristleError(f"record {path}: is a pipe or device, no regular file; write it to one first")
+    check_regular(path, f"record {path}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise BristleError(f"record {path}: unknown format '{path.suffix}'; known: {', '.join(READERS)}")

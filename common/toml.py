@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.files import check_regular
 
 SCALARS = ("str", "int", "float", "bool")  # names of types in the place of an error
 
@@ -39,6 +40,7 @@ def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     """Return the text and the tree of a TOML file; `what` names its kind in an error ("scenario file")."""
     if path.is_dir():
         raise BristleError(f"{path}: is a folder; give a {what}")
+    check_regular(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
         return text, tomllib.loads(text)

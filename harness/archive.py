@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree as ET
 
 from bristle.common.errors import BristleError
+from bristle.common.files import check_regular
 from bristle.common.signals import Array, signals_of
 
 MOST_BYTES = 2 << 30  # that an archive may unpack to
@@ -27,6 +28,7 @@ class Archive:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        check_regular(path)
         try:
             with zipfile.ZipFile(path) as archive:
                 self.names = frozenset(archive.namelist())

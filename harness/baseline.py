@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.common.files import check_regular
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.metrics import look_up
@@ -282,6 +283,7 @@ def read_baseline(folder: Path) -> Baseline:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Return the content of a JSON file that holds an object; raise `BristleError` if it is none."""
+    check_regular(path)
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

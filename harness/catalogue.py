@@ -48,8 +48,8 @@ def find_scenario(given: Path) -> Path:
     if given.is_file() or given.name != str(given) or given.suffix:
         return given
     known = scenario_files()
-    if given.name not in known and given.is_dir():
-        return given  # a folder: what reads the file says so
+    if given.name not in known and given.exists():
+        return given  # a folder or a pipe: what reads the file says so
     if given.name not in known:
         near = suggest(given.name, list(known))
         raise BristleError(f"scenario '{given}': no such file or name{near}; give a path or one of: {', '.join(known)}")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.errors import BristleError
+from bristle.common.files import check_regular
 from bristle.common.output import output_folder, plain, replace_files, to_json
 from bristle.common.provenance import provenance
 from bristle.harness.baseline import Baseline, Judged, Signals, least_tolerance, quantities_of, read_baseline, read_json
@@ -139,6 +140,7 @@ def _least(path: str, each: Judged, step: float) -> Judged:
 
 def _read_signals(path: Path, step: float, total: int) -> tuple[NDArray[np.int64], dict[str, Array]]:
     """Return rows and signals of signals.csv, which may hold nan, of a run of `total` rows."""
+    check_regular(path)
     try:
         with path.open(encoding="utf-8") as stream, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of no data: an error below

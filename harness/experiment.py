@@ -19,6 +19,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from bristle.common.errors import BristleError, suggest
+from bristle.common.files import check_regular
 from bristle.common.html import badge, beside, identifier, page
 from bristle.common.output import output_folder, to_json
 from bristle.common.parameter_set import Value, finite_number, parameter_values
@@ -176,6 +177,7 @@ def _beside(path: Path) -> Iterator[Experiment]:
         try:
             if name.startswith("../"):
                 raise BristleError(f"{path}: '{name}' lies elsewhere; only files beside it are read")
+            check_regular(path.parent / name)
             return (path.parent / name).read_bytes()
         except OSError as error:
             raise BristleError(f"{path.parent / name}: {error.strerror}; check the path") from None

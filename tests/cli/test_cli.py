@@ -170,6 +170,18 @@ def test_a_scenario_is_no_model_file(inside: Cli, case: Path, tmp_path: Path) ->
     one_line(inside(*asked), "is a scenario file, no model file; give it to bristle run")
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a pipe with a name")
+def test_what_could_be_read_for_ever_is_no_file(tmp_path: Path, inside: Cli, case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("pipe", "pipe.toml", "pipe.ssp"):
+        os.mkfifo(tmp_path / name)
+    for given in ("pipe", "pipe.toml", "pipe.ssp", "/dev/zero"):
+        one_line(inside("run", given, "--out", "out"), f"{given}: is not a regular file but a pipe or device; write")
+    one_line(inside("validate", "pipe.toml", "--data", case), "pipe.toml: is not a regular file")
+    (tmp_path / "result.json").symlink_to("/dev/zero")
+    one_line(inside("compare", tmp_path, tmp_path), "result.json: is not a regular file")
+
+
 def test_a_folder_is_no_scenario_but_hides_none(tmp_path: Path, inside: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("mine", "quick"):
