@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from bristle.common.provenance import provenance
 from bristle.harness.baseline import Baseline, Judged, Signals, least_tolerance, quantities_of, read_baseline, read_json
 from bristle.harness.metrics import look_up
 from bristle.harness.results import missing, rows_of, thinned
-from bristle.harness.tube import written_margin
+from bristle.harness.tube import EXACT_MARGIN, written_margin
 
 Array = NDArray[np.float64]
 
@@ -47,6 +47,14 @@ class SignalVerdict:
     low: float | None = None
     high: float | None = None
     why: str = ""
+
+    @property
+    def margins(self) -> tuple[float, float] | None:
+        """How far the signal may be below and above the reference at its worst point: 0 where it must be exactly 0."""
+        if self.reference is None or self.low is None or self.high is None:
+            return None
+        below, above = self.reference - self.low, self.high - self.reference
+        return (0.0, 0.0) if max(below, above) < EXACT_MARGIN else (below, above)
 
 
 @dataclass(frozen=True)
@@ -77,8 +85,8 @@ class SignalCourse:
 class Comparison:
     """Verdicts of all signals and numbers, what makes both incomparable, and what is said without being judged.
 
-    `rows` instants were compared, of `instants` that A has. `made` holds where A and B come from, as of their result.json;
-    `command` repeats the comparison.
+    `rows` instants were compared, of `instants` that A has; `made` holds where A and B come from, as of their result.json;
+    `command` repeats the comparison; `units` are those of the signals, as far as they are known.
     """
 
     first: str
@@ -93,6 +101,7 @@ class Comparison:
     courses: Mapping[str, SignalCourse]
     made: tuple[Mapping[str, Any], Mapping[str, Any]]
     command: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -210,7 +219,10 @@ def compare_sides(a: Baseline, b: Baseline) -> Comparison:
         courses[name] = SignalCourse(time, expected[at_a], lower, upper, b.signals.values[name][at_b])
         signals.append(judge_signal(name, courses[name]))
     quantities = tuple(judge_quantity(path, each, b.quantities.get(path)) for path, each in a.quantities.items())
-    return Comparison("A", "B", scenario, len(rows), instants, (), tuple(signals), quantities, tuple(notes), courses, made)
+    units = {**b.result.get("units", {}), **a.result.get("units", {})}
+    return Comparison(
+        "A", "B", scenario, len(rows), instants, (), tuple(signals), quantities, tuple(notes), courses, made, units=units
+    )
 
 
 def _made(result: Mapping[str, Any]) -> dict[str, Any]:
@@ -345,10 +357,11 @@ def differences(found: Comparison) -> list[str]:
 
 def _allowed(signal: SignalVerdict) -> str:
     """Return the reference at the worst point and how far the signal may be below and above it."""
-    if signal.reference is None or signal.low is None or signal.high is None:
+    if signal.margins is None:
         return ""
-    below, above = signal.low - signal.reference, signal.high - signal.reference
-    return f", reference {signal.reference:.6g}, allowed {below:.2g} to {above:+.2g}"
+    below, above = signal.margins
+    allowed = f"{-below:.2g} to {above:+.2g}" if above else "exactly 0"
+    return f", reference {signal.reference:.6g}, allowed {allowed}"
 
 
 def quantity_text(each: QuantityVerdict) -> str:

@@ -205,7 +205,7 @@ def outcome(checked: Checked, progress: Progress | None = None) -> Outcome:
         trace = checked.simulate(checked.bus, lambda done: tell("co-simulation", done, setup.steps), setup.timeout)
     with clock.stage("metrics"):
         view = View(setup, trace)
-        result = measured(setup, trace, view) | {"provenance": _provenance(checked)}
+        result = measured(setup, trace, view) | {"units": view.column_units(setup), "provenance": _provenance(checked)}
     validated = followed = None
     if setup.scenario.controller.compensation != "none" and trace.failure is None:
         with clock.stage("the same run without compensation"):
@@ -302,6 +302,16 @@ class View:
     def columns(self) -> dict[str, Array]:
         """Return all signals at full rate, and for each estimate whether the observer calls it valid."""
         return {**self.signals, **self.observed, **{f"{name}_valid": course.valid for name, course in self.published.items()}}
+
+    def column_units(self, setup: Setup) -> dict[str, str]:
+        """Return the unit of each of these signals."""
+        if setup.samples is not None:
+            own = {"u": self.rig.unit("V"), "theta": self.rig.unit("rad"), "v": self.rig.unit("rad/s")}
+        else:
+            own = {name: setup.fmus[unit].unit(name) for unit, name in self.trace.record if unit != "observer"}
+            own |= {each.variable: setup.fmus[each.unit].unit(each.variable) for each in setup.stimuli}
+        observer = {name: self.rig.unit(setup.fmus["observer"].unit(name)) for name in self.observed}
+        return {**own, **observer, **{f"{name}_valid": "1" for name in self.published}}
 
     def _true(self, setup: Setup) -> dict[str, Array]:
         """Return the true parameters under the loads that act on the plant, and of the observer's elements."""

@@ -18,6 +18,7 @@ TUBE_BLOCKS = 200  # parts of a run, each with a spread of its own
 TUBE_NEIGHBOURS = 3  # such parts on either side whose spread counts too
 WRITTEN_SHARE = 1e-9  # of a value: signals.csv has ten digits
 LEAST_MARGIN = 1e-300  # of a signal that is 0 throughout
+EXACT_MARGIN = 1e-40  # a smaller one is that of a signal that is 0, in a baseline rounded to single precision
 
 
 @dataclass(frozen=True)

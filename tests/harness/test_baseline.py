@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -25,13 +27,16 @@ from bristle.harness.baseline import (
 )
 from bristle.harness.comparison import (
     Comparison,
+    SignalCourse,
     compare_folders,
     compare_sides,
     comparison_json,
     differences,
     judge_quantity,
+    judge_signal,
     write_comparison,
 )
+from bristle.harness.comparison_page import MOST_BYTES, render
 from bristle.harness.repeats import Repeat, built, repeats, run_again, run_rounded, toolchains
 from bristle.harness.results import thinned
 from bristle.harness.run import Checked, Options, check, run
@@ -303,6 +308,74 @@ def test_the_report_shows_each_signal_and_the_numbers(accepted: tuple[Path, Base
     assert page.index('alt="u"') < page.index('alt="theta"')  # what differs first
     tree = json.loads((tmp_path / "report" / "compare.json").read_text(encoding="utf-8"))
     assert {row["name"] for row in tree["signals"] if not row["pass"]} == {"u", "v"}
+
+
+def a_comparison(courses: dict[str, SignalCourse], units: dict[str, str]) -> Comparison:
+    signals = tuple(judge_signal(name, course) for name, course in courses.items())
+    return Comparison("A", "B", "case", 9000, 9000, (), signals, (), (), courses, ({}, {}), units=units)
+
+
+def noise(scale: float, shift: float = 0.0) -> SignalCourse:
+    """A signal that fills its tube at all times, which takes as many bytes as any."""
+    values = shift + scale * np.random.default_rng(1).uniform(-1, 1, 9000)
+    return SignalCourse(np.arange(9000) * 1e-3, np.full(9000, shift), values - 2 * scale, values + 2 * scale, values)
+
+
+def test_the_report_is_no_larger_than_a_megabyte() -> None:
+    page = render(a_comparison({f"s{k}": noise(1.0) for k in range(30)}, {}))
+    assert 0.8 * MOST_BYTES < len(page.encode()) <= MOST_BYTES
+    drawn = page.count("<figure>")
+    assert drawn >= 18
+    assert f"Not drawn: {30 - drawn} more signals that move" in page
+
+
+def test_drawings_have_units_and_no_power_of_ten_over_their_titles() -> None:
+    page = unquote(render(a_comparison({"large": noise(1e9), "far": noise(1e-9, 3.0)}, {"large": "N.m", "far": "rad/s2"})))
+    assert not re.search(r"<!-- \S*\de\S* -->", page)  # what is written into a picture
+    assert "<!-- 10⁹ N·m -->" in page
+    assert "<!-- 10⁻⁹ rad/s² -->" in page
+    assert page.count("<!-- +3 -->") == 2  # at the right of both titles
+    assert "<!-- time, s -->" in page
+
+
+def test_what_must_be_0_is_said_so_and_a_tube_as_its_half_width() -> None:
+    time, zero = np.arange(3.0), np.zeros(3)
+    least = np.full(3, float(np.nextafter(np.float32(0), np.float32(1))))  # as a baseline keeps it
+    found = a_comparison(
+        {
+            "rest": SignalCourse(time, zero, -least, least, zero),
+            "moves": SignalCourse(time, zero, -least, least, np.array([0.0, 0.0, 1.0])),
+            "even": SignalCourse(time, zero + 2, zero + 1.5, zero + 2.5, zero + 2.25),
+            "uneven": SignalCourse(time, zero + 2, zero + 1, zero + 2.5, zero + 2.25),
+        },
+        {"even": "N.m"},
+    )
+    assert differences(found) == ["moves at 2 s: 1, reference 0, allowed exactly 0"]
+    page = render(found)
+    assert page.count("exactly 0</td>") == 2
+    assert "e-45" not in page
+    assert "<sup>-45" not in page
+    assert "10⁻⁴⁵" not in unquote(page)
+    assert "over 1.00·10<sup>6</sup> %" in page
+    assert "± 0.5</td>" in page
+    assert "−1 to +0.5</td>" in page
+    assert ">N·m</td>" in page
+
+
+def test_a_result_has_the_units_of_its_signals(full: Path) -> None:
+    units = json.loads((full / "result.json").read_text(encoding="utf-8"))["units"]
+    head = (full / "signals.csv").read_text(encoding="utf-8").split("\n", 1)[0].split(",")
+    assert {*units, "time"} == set(head)
+    known = {
+        "u": "V",
+        "theta_enc": "rad",
+        "F": "N.m",
+        "reference_scale": "1",
+        "b_hat": "rad/(s2.V)",
+        "b_sd": "rad/(s2.V)",
+        "b_valid": "1",
+    }
+    assert {name: units[name] for name in known} == known
 
 
 def test_numbers_exist_in_all_repeated_runs_in_none_or_are_not_judged() -> None:
