@@ -175,8 +175,9 @@ def _unreadable(value: object) -> str:
 
 
 def _number(value: object) -> float | None:
-    known = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if known else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return None
+    return float(value)
 
 
 def measured_quantities(result: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> dict[str, Judged]:

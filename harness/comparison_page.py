@@ -50,9 +50,9 @@ def render(found: Comparison) -> str:
         columns = ("number", "unit", "A", "B", "allowed ±", "")
         parts.append("<h2>Numbers</h2>" + table(columns, [_quantity(each) for each in found.quantities], (2, 3, 4)))
     if found.signals:
-        columns = ("signal", "unit", "worst at, s", "A", "B", "B − A", "allowed", "of what is allowed", "")
+        names = ("signal", "unit", "worst at, s", "A", "B", "B − A", "allowed", "of what is allowed", "")
         rows = [_signal(each, found.units.get(each.name, "")) for each in found.signals]
-        parts.append("<h2>Signals</h2>" + table(columns, rows, (2, 3, 4, 5, 6, 7)))
+        parts.append("<h2>Signals</h2>" + table(names, rows, (2, 3, 4, 5, 6, 7)))
     title = f"{found.scenario} against its reference"
     parts += _figures(found, MOST_BYTES - len(page(title, "\n".join(parts)).encode()))
     return page(title, "\n".join(parts))
