@@ -17,7 +17,7 @@ from bristle.common.time_plot import extremes
 from bristle.harness.comparison import Comparison, QuantityVerdict, SignalCourse, SignalVerdict, counts, differences
 from bristle.harness.tube import EXACT_MARGIN
 
-MOST_BYTES = 1_000_000  # of the page, which then fits into a mail
+PAGE_BYTES = 1_000_000  # of the page, which then fits into a mail
 LINE_BYTES = 200  # of what is said of figures that do not fit
 COURSE_SIZE = (8.6, 1.9)  # width and height of the figure of a signal [inch]
 CLOSE_ROWS = 40  # compared rows on either side of the worst point in the close view
@@ -32,7 +32,7 @@ MOST_FIGURES = 24  # signals that are drawn, those farthest from their reference
 
 
 def render(found: Comparison) -> str:
-    """Return the page, of at most `MOST_BYTES`: figures that do not fit are left out."""
+    """Return the page, of at most `PAGE_BYTES`: figures that do not fit are left out."""
     head = badge("good", "pass") if found.passed else badge("bad", "differs")
     inside, judged = counts(found.signals)
     lead = f"{inside} of {judged} signals inside their tubes at {found.rows} of the {found.instants} instants of A"
@@ -54,7 +54,7 @@ def render(found: Comparison) -> str:
         rows = [_signal(each, found.units.get(each.name, "")) for each in found.signals]
         parts.append("<h2>Signals</h2>" + table(names, rows, (2, 3, 4, 5, 6, 7)))
     title = f"{found.scenario} against its reference"
-    parts += _figures(found, MOST_BYTES - len(page(title, "\n".join(parts)).encode()))
+    parts += _figures(found, PAGE_BYTES - len(page(title, "\n".join(parts)).encode()))
     return page(title, "\n".join(parts))
 
 
