@@ -51,7 +51,10 @@ class Motion:
 
 
 def behaviour(motion: Motion) -> dict[str, Quantity]:
-    """Return stick share, break-away torque, amplitude and period of a limit cycle, and the energy balance."""
+    """Return stick share, break-away torque, amplitude and period of a limit cycle, and the energy balance.
+
+    The break-away torque holds the viscous torque at the velocity at which standstill ends.
+    """
     return _sticking(motion) | _cycle(motion) | _energy(motion)
 
 

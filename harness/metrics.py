@@ -56,7 +56,8 @@ CHECK_QUANTITIES = {
     "behaviour.stick_share.value": ("1", "share of time that the plant stands still for 20 ms or longer; none if it never does"),
     "behaviour.break_away_torque.value": (
         "of the friction torque",
-        "median over all standstills that end of the largest friction torque before the plant moves; none without such",
+        "median over all standstills that end of the largest friction torque up to the sample at which the velocity passes 1 % of "
+        "its rms value, so with the viscous torque at that velocity; none without such",
     ),
     "behaviour.limit_cycle_amplitude.value": (
         "of the velocity",
