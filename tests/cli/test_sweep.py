@@ -36,7 +36,7 @@ def test_a_sweep_is_asked_and_reported(call, scenario, tmp_path):
     assert (code, text) == (2, "")
     assert "has runs already; resume it" in err
     code, text, _ = call("sweep", scenario, *vary, "--samples", "4", "--seeds", "1-3", "-j", "2", "--out", store, "--resume")
-    assert ": 8 pass, 16 were there" in text
+    assert ": 8 pass; 16 were there: 16 pass" in text
     code, text, _ = call("report", store, "--out", out)
     assert (code, text) == (0, f"24 of 24 runs pass  {out / 'report.html'}\n")
     assert json.loads((out / "report.json").read_text(encoding="utf-8"))["pass"]["count"] == 24
