@@ -30,6 +30,11 @@ class Unexplained:
     disturbance: float = 0.0  # rms of the disturbance torque that the fit needs, over that of the input's torque
     label: str = ""  # as of the `Share`
 
+    @property
+    def predictable(self) -> bool:
+        """Whether so much of the residual is predicted, reported or not, that noise alone is less than the residual."""
+        return self.flag or (self.view is not None and self.share >= MIN_SHARE)
+
 
 @dataclass(frozen=True)
 class FinalModel:

@@ -12,10 +12,10 @@ NOT_ENOUGH = "Best of what I know, not enough"
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """Return the verdict as a heading; where much of the residual is unexplained, it begins with that."""
+    """Return the verdict as a heading; where that is not enough, it begins with that."""
     if diagnosis.proposals:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
-    if not diagnosis.remains.flag:
+    if not _not_enough(diagnosis):
         return _found(diagnosis)
     if diagnosis.verdict == "none":
         return f"{NOT_ENOUGH}: something is missing, and no effect that was tried explains it"
@@ -26,10 +26,16 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def mark(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Return kind and text of the badge beside it: good only where effects are named and nothing much is unexplained."""
+    """Return kind and text of the badge beside it: good only where effects are named and that is enough."""
     if diagnosis.proposals:
         return "bad", "data" if as_given(diagnosis) else "bounds"
-    return "open" if diagnosis.remains.flag else BADGES[diagnosis.verdict], VERDICTS[diagnosis.verdict]
+    return "open" if _not_enough(diagnosis) else BADGES[diagnosis.verdict], VERDICTS[diagnosis.verdict]
+
+
+def _not_enough(diagnosis: Diagnosis) -> bool:
+    """Whether much is unexplained, or whole records are farther from the model with the named effects than without."""
+    whole = diagnosis.whole
+    return diagnosis.remains.flag or (bool(diagnosis.effects) and whole is not None and whole.worse)
 
 
 def _lacking(diagnosis: Diagnosis) -> str:

@@ -11,8 +11,8 @@ from urllib.parse import quote
 import numpy as np
 
 from bristle.common.html import badge, beside, figure, number, page, table, unit
-from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P
-from bristle.diagnosis.localisation.unexplained import CERTAIN_P
+from bristle.diagnosis.localisation.residual_localisation import LISTED_VIEW_P, SENSOR_VIEWS
+from bristle.diagnosis.localisation.unexplained import CERTAIN_P, MIN_SHARE
 from bristle.diagnosis.report.figures import as_given, captions, improved
 from bristle.diagnosis.report.headline import headline, mark
 from bristle.diagnosis.report.open_loop import whole_table
@@ -150,9 +150,9 @@ def _gap_facts(diagnosis: Diagnosis) -> str:
     if improved(diagnosis) and gap.after >= gap.before:
         return f"<p>On held-out segments the error did not fall: {OUTLIER_NOTE}.</p>"
     # an unexplained residual is partly taken for noise
-    most, least = ("at most ", "at least ") if diagnosis.remains.flag else ("", "")
+    most, least = ("at most ", "at least ") if diagnosis.remains.predictable else ("", "")
     if gap.shrink is not None and improved(diagnosis):
-        closed = gap.noise_floor is not None and gap.after <= gap.noise_floor and not diagnosis.remains.flag
+        closed = gap.noise_floor is not None and gap.after <= gap.noise_floor and not diagnosis.remains.predictable
         rest = ", down to what disturbance and sensor noise alone account for" if closed else ""
         facts.append(f"The mean squared error above the noise floor shrank by {most}<b>{100 * gap.shrink:.1f} %</b>{rest}.")
     if gap.ratio is None:
@@ -177,12 +177,15 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     if left.flag:
         return f'<p class="alarm">{escape(unexplained_line(left, diagnosis.model.wording, open_tie))}</p>'
     certain = [v for v in diagnosis.where if v.p_after <= CERTAIN_P]
-    said = "no motion variable predicts more of the residual than chance does"
-    if certain:
-        most = max(certain, key=lambda v: v.share_after)
-        said = f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the residual that is left, "
-        said += "every other motion variable less, or no more than chance does"
-    return f"<p>Nothing that matters: {said}.</p>"
+    if not certain:
+        return "<p>Nothing that matters: no motion variable predicts more of the residual than chance does.</p>"
+    most = max(certain, key=lambda v: v.share_after)
+    said = f"<b>{escape(view_name(most.view))}</b> predicts {100 * most.share_after:.0f} % of the residual that is left, "
+    said += "every other motion variable less, or no more than chance does"
+    if most.view in SENSOR_VIEWS:
+        said += "; in a closed loop it holds noise of the sensor, so that it is not reported as unexplained"
+    small = "Nothing that matters" if most.share_after < MIN_SHARE else "Small beside what was explained, but more than chance"
+    return f"<p>{small}: {said}.</p>"
 
 
 def _unnamed(diagnosis: Diagnosis) -> str:

@@ -168,6 +168,11 @@ class WholeRecords:
     tried: bool = True  # whether a refit was
 
     @property
+    def worse(self) -> bool:
+        """True if the model after the search is farther from whole records than the one before."""
+        return self.horizons[-1].after > self.horizons[-1].before
+
+    @property
     def refitted(self) -> bool:
         """True if the parameters are not those of the segments."""
         return self.refitted_to > 0

@@ -181,12 +181,12 @@ def _error(facts: Facts) -> str:
     gap = facts.gap
     squares = gap.before, gap.after, gap.noise_floor
     before, after, floor = (math.sqrt(x) if x is not None and x >= 0 else math.nan for x in squares)
-    most = "at most " if facts.remains.flag else ""  # an unexplained residual is partly taken for noise
+    most = "at most " if facts.remains.predictable else ""  # what is predicted is partly taken for noise
     alone = f"disturbance and sensor noise alone account for {most}{floor:.3g} {gap.output_unit}"
     if gap.noise_floor is None:
         alone = "disturbance and sensor noise alone account for less; how much less is not known"
     elif floor >= after:
-        alone = "disturbance and sensor noise alone account for as much"
+        alone = f"disturbance and sensor noise alone account for {most}as much"
     if not facts.effects:
         return f"The rms error of the output on held-out segments is {before:.3g} {gap.output_unit} after a refit; {alone}."
     changes = f"falls from {before:.3g} to {after:.3g} {gap.output_unit}; {alone}"
@@ -203,6 +203,8 @@ def open_loop_line(whole: WholeRecords, segment: float) -> str:
     found = f"Simulated in open loop over whole records, the model is {last.after:.3g} {unit} rms from what was measured"
     if last.before != last.after:
         found += f", {last.before:.3g} {unit} before" if math.isfinite(last.before) else "; before, the simulation failed"
+    if whole.worse:
+        found += ": over so long a time it is worse than without what was found"
     if not whole.refitted:
         longer = f"a refit to more than segments of {segment:.3g} s"
         why = f"{longer} does not lower the error where it was not fitted" if whole.tried else f"{longer} was not tried"

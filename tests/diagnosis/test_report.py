@@ -16,10 +16,20 @@ from bristle.common.drawing import OTHER
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.report.figures import captions, draw, view_axis, worst_part
-from bristle.diagnosis.report.headline import headline, mark
+from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
 from bristle.diagnosis.report.html import interval, render
-from bristle.diagnosis.report.result import Estimate, Gap, Named, Trace
-from bristle.diagnosis.report.text import NATS, Facts, experiment, reported_parameters, statement, undetected, value, view_name
+from bristle.diagnosis.report.result import Estimate, Gap, HorizonError, Named, RecordError, Trace, WholeRecords
+from bristle.diagnosis.report.text import (
+    NATS,
+    Facts,
+    experiment,
+    open_loop_line,
+    reported_parameters,
+    statement,
+    undetected,
+    value,
+    view_name,
+)
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.null_distribution import Null
@@ -157,6 +167,33 @@ def test_what_remains_is_what_the_table_above_it_says(answer):
     text = text_of(page_of(replace(named, where=(named.where[0], noisy), remains=Unexplained(False, "history", 0.04))))
     assert "Nothing that matters: rate of the input predicts 8 % of the residual that is left" in text
     assert "no motion variable predicts more of the residual than chance does" in text_of(page_of(named))
+
+
+def test_what_is_predicted_is_not_taken_for_noise(answer):
+    """A quarter of the residual is too little beside the effect to be reported, and too much to be called noise or nothing."""
+    named = answer("named")
+    gap = replace(named.gap, noise_floor=named.gap.after)
+    part = replace(named.where[1], view="theta x u", share_after=0.25, p_after=0.001)
+    left = Unexplained(False, "theta x u", 0.25)
+    text = text_of(page_of(replace(named, gap=gap, where=(named.where[0], part), remains=left)))
+    assert "Nothing that matters" not in text
+    assert "Small beside what was explained, but more than chance: position × input predicts 25 %" in text
+    assert "down to what disturbance and sensor noise alone account for" not in text
+    assert any("account for at most as much" in line for line in statement(Facts("named", gap, left, named.effects)))
+    assert any("account for as much" in line for line in statement(Facts("named", gap, replace(left, share=0.1), named.effects)))
+
+
+def test_a_model_that_is_worse_over_whole_records_is_not_enough(answer):
+    named = answer("named")
+    last = HorizonError(20.0, 1.0, 0.5, 0.5)
+    record = RecordError("a", "rad", 1.0, 0.5, 0.0, 50.0)
+    better = WholeRecords((record,), (last,), 0.0, True, {}, named.traces[:1])
+    worse = replace(better, horizons=(replace(last, after=2.0),))
+    assert mark(replace(named, whole=better))[0] == "good"
+    assert mark(replace(named, whole=worse))[0] == "open"
+    assert headline(replace(named, whole=worse)) == f"{NOT_ENOUGH}: {headline(named).removeprefix('The model lacks: ')}"
+    assert "worse than without what was found" in open_loop_line(worse, 0.4)
+    assert "worse" not in open_loop_line(better, 0.4)
 
 
 def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):
