@@ -124,9 +124,35 @@ def candidates(files: Files, role: str, asked: str | None, taken: Sequence[str] 
         where = next(iter(files.tables))
         alone = sorted({name for table in files.tables.values() for name in table} - set(files.names))
         more = f"; not in every file, or of another length: {_listed(alone)}" if alone else ""
-        likely = f"no column is likely to be the {role}; give it with --{role} COLUMN: {_listed(names)}{more}"
+        why = _what_a_time_does(files) if role == "time" else _what_texts_hold(files, alone)
+        likely = f"no column is likely to be the {role}{why}; give it with --{role} COLUMN: {_listed(names)}{more}"
         raise BristleError(f"record {where}: {likely}")
     return sorted(found, key=lambda each: (each.rank, each.scatter))
+
+
+def _what_a_time_does(files: Files) -> str:
+    """Return where the first column that is called a time does not rise, or an empty text."""
+    for name in (name for name in files.names if files.clock(name) or files.heading(name).quantity == "time"):
+        for path, table in files.tables.items():
+            values = table[name][np.isfinite(table[name])]
+            back = np.flatnonzero(np.diff(values) < 0)
+            if len(back):
+                k = int(back[0])
+                return f": '{name}' goes back in {path}, from {values[k]:.6g} to {values[k + 1]:.6g} at sample {k + 2}"
+            if len(repeated := np.flatnonzero(np.diff(values) == 0)):
+                return f": '{name}' repeats {len(repeated)} of {len(values)} values in {path}"
+    return ""
+
+
+def _what_texts_hold(files: Files, names: Sequence[str]) -> str:
+    """Return what columns hold that are numbers in some files only, or in none."""
+    said = {
+        name: f"'{name}' holds {table.unusable[name]} in {path}"
+        for path, table in reversed(files.tables.items())
+        for name in table.unusable
+        if name in names or len(files.tables) == 1
+    }
+    return f": {'; '.join(said.values())}" if said else ""
 
 
 def _listed(names: Sequence[str]) -> str:

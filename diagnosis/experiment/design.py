@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -25,6 +26,7 @@ EXPERIMENT_SECONDS = 20.0  # s: length of the record
 MOST_RIVALS = 4  # models that an input is to tell apart at most
 CLOSEST = 2  # of the effects that were tried, if none was above chance: those that are told from no effect
 MARGIN = 0.05  # of the range that was travelled: distance from its ends that a motion is to keep
+UNIT_IN_BRACKETS = re.compile(r"\s*[(\[][^()\[\]]*[)\]]\s*$")  # at the end of a column's name
 DISTURBANCES = 2  # disturbances under which each model is to keep it
 
 
@@ -169,4 +171,5 @@ def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
 
 def _headings(model: Model) -> tuple[str, str]:
     """Return the columns of the file: as the records name them, with units."""
-    return f"{model.time.column} [s]", f"{model.input.column} [{model.input.unit}]"
+    time, given = (UNIT_IN_BRACKETS.sub("", name) for name in (model.time.column, model.input.column))
+    return f"{time} [s]", f"{given} [{model.input.unit}]"

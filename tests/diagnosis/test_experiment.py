@@ -13,7 +13,7 @@ import pytest
 from bristle.diagnosis.estimation.dataset import cut
 from bristle.diagnosis.estimation.likelihood import Problem, evaluate
 from bristle.diagnosis.estimation.simulator import free_parameters
-from bristle.diagnosis.experiment.design import MARGIN, _Design
+from bristle.diagnosis.experiment.design import MARGIN, _Design, _headings
 from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
 from bristle.diagnosis.experiment.inputs import Axis, Limits, inputs, move, varied
 from bristle.diagnosis.experiment.sentence import designed_line
@@ -163,6 +163,14 @@ def test_the_file_holds_time_and_input_and_goes_with_the_next_answer(answer: Cal
     assert found.to_dict()["experiment_input"]["file"] == "experiment.csv"
     write(answer("tie"), tmp_path)
     assert not (tmp_path / "experiment.csv").exists()
+
+
+@pytest.mark.parametrize(("time", "given"), [("t", "u"), ("t [s]", "u [Nm]"), ("t (ms)", "u[mV]")])
+def test_the_columns_of_the_file_have_one_unit_each(answer: Callable[[str], Diagnosis], time: str, given: str) -> None:
+    model = answer("tie").model
+    columns = {"time": model.time.model_copy(update={"column": time}), "input": model.input.model_copy(update={"column": given})}
+    named = replace(model, **columns)
+    assert _headings(named) == ("t [s]", "u [N.m]")
 
 
 def test_the_sentence_says_file_rivals_gain_and_open_loop_or_that_there_is_none(answer: Callable[[str], Diagnosis]) -> None:

@@ -181,6 +181,8 @@ def test_what_is_no_motion_leaves_wide_bounds_and_a_guess(tmp_path):
     ("header", "change", "asked", "words"),
     [
         ("a,b,c", lambda t, u, y: (u, y, u + y), {}, "no column is likely to be the time; give it with --time COLUMN: a, b, c"),
+        ("t,torque,angle", lambda t, u, y: (t % 1.0, u, y), {}, "to be the time: 't' goes back in "),
+        ("t,torque,angle", lambda t, u, y: (np.floor(100 * t), u, y), {}, "to be the time: 't' repeats "),
         ("t,speed,angle", lambda t, u, y: (t, y, y), {}, "no column is likely to be the input; give it with --input COLUMN"),
         ("t,torque,temp", None, {}, "no column is likely to be the output; give it with --output COLUMN"),
         (
@@ -211,6 +213,15 @@ def test_units_of_no_column_and_no_unit(tmp_path):
         propose([])
     with pytest.raises(BristleError, match="is given twice"):
         propose([path, path])
+
+
+def test_the_cell_that_makes_a_column_a_text_is_named(tmp_path):
+    path = plain(tmp_path, "t,torque,angle")
+    lines = path.read_text().splitlines()
+    lines[700] = lines[700].rpartition(",")[0] + ",ERR"
+    path.write_text("\n".join(lines))
+    with pytest.raises(BristleError, match=r"likely to be the output: 'angle' holds text \('ERR' in line 701\)"):
+        propose(path)
 
 
 def test_files_of_other_columns_are_named(tmp_path):
