@@ -148,7 +148,7 @@ def _what_texts_hold(files: Files, names: Sequence[str]) -> str:
     """Return what columns hold that are numbers in some files only, or in none."""
     said = {
         name: f"'{name}' holds {table.unusable[name]} in {path}"
-        for path, table in reversed(files.tables.items())
+        for path, table in reversed(list(files.tables.items()))
         for name in table.unusable
         if name in names or len(files.tables) == 1
     }
