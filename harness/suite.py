@@ -324,8 +324,9 @@ def _uninterrupted() -> Iterator[None]:
 
 
 def _start_worker() -> None:
-    """Leave interrupts to the parent process, and end with it, however that ends."""
+    """Leave interrupts to the parent process, and end with it, however that ends, or when it says so."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # which the parent may ignore, and its children with it
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

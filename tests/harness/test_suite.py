@@ -145,14 +145,19 @@ def test_one_process_and_two_give_the_same(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_a_killed_process_loses_only_the_runs_under_way(tmp_path):
+@pytest.mark.parametrize("ignoring", [signal.SIG_DFL, signal.SIG_IGN])
+def test_a_killed_process_loses_only_the_runs_under_way(tmp_path, ignoring):
     cases = find_cases([scenario(tmp_path, "good")], range(1, 10), [])
 
     def kill(name, done, total):
         if done == 1:
             multiprocessing.active_children()[0].kill()
 
-    tested = run_suite(cases, tmp_path / "out", jobs=2, progress=kill)
+    before = signal.signal(signal.SIGTERM, ignoring)  # which processes inherit, but for a handler
+    try:
+        tested = run_suite(cases, tmp_path / "out", jobs=2, progress=kill)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     assert [t.case for t in tested] == cases
     lost = [t for t in tested if t.verdict != "pass"]
     assert len(lost) <= 2
