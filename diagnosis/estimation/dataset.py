@@ -9,7 +9,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs
 
@@ -19,8 +18,6 @@ from bristle.records.clock import overlap
 
 Mask = NDArray[np.bool_]
 STATE_SMOOTHING = 0.02  # s: half-width of the parabola that gives position and velocity at the start of a segment
-KINK_SLOPE = 20.0  # error of the slope at a kink, over the rms misfit of the parabola there times its half-width
-KINK_FACTOR = 4.0  # of the parabola's usual mean squared misfit: above it the slope has a kink
 REST_STEPS = 3.0  # steps of the sensor within the smoothing window: a slower speed counts as rest
 LEAST_NOISE_SEGMENTS = 10  # segments: fewest in motion from which the noise is estimated
 HELD_OUT_EVERY = 4  # segments: one of so many is held out from the search
@@ -192,22 +189,8 @@ def smooth(y: Array, h: float, half: float, order: int = 0) -> Array:
     reach = max(2, round(half / h))
     reach = min(reach, (len(y) - 1) // 2)
     kernel = savgol_coeffs(2 * reach + 1, 2, deriv=order, delta=h)
-    return np.convolve(_padded(y, reach), kernel, mode="valid")
-
-
-def _padded(y: Array, reach: int) -> Array:
-    """Return samples with so many before and after them, mirrored about both ends."""
-    return np.concatenate([2 * y[0] - y[reach:0:-1], y, 2 * y[-1] - y[-2 : -reach - 2 : -1]])
-
-
-def misfit(y: Array, h: float, half: float) -> Array:
-    """Return the mean squared misfit (n,) of the parabola through the samples within `half` seconds of each."""
-    level, slope, bend = (smooth(y, h, half, order) for order in (0, 1, 2))
-    reach = min(max(2, round(half / h)), (len(y) - 1) // 2)
-    k = h * np.arange(-reach, reach + 1)
-    around = sliding_window_view(_padded(y, reach), 2 * reach + 1)
-    parabola = level[:, None] + slope[:, None] * k + 0.5 * bend[:, None] * k**2
-    return np.asarray(np.mean(np.square(around - parabola), axis=1))
+    padded = np.concatenate([2 * y[0] - y[reach:0:-1], y, 2 * y[-1] - y[-2 : -reach - 2 : -1]])
+    return np.convolve(padded, kernel, mode="valid")
 
 
 def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: float) -> Piece:
@@ -228,11 +211,7 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
     else:
         v = smooth(y, h, STATE_SMOOTHING, 1)
         initial = np.column_stack([level[first], v[first]])
-        miss = misfit(y, h, STATE_SMOOTHING)
-        usual = max(resolution**2 / 12, float(np.median(miss)))
-        sharp = np.sqrt(np.maximum(miss[first] - KINK_FACTOR * usual, 0.0))
-        speed_sd = 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first]) + KINK_SLOPE * sharp / (h * reach)
-        initial_sd = np.column_stack([np.full(n, 10 * noise), speed_sd])
+        initial_sd = np.column_stack([np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])])
     measured = y[: n * length].reshape(n, bins, width).mean(axis=2)
     return Piece(name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd)
 

@@ -156,7 +156,7 @@ class Problem:
 
     def prior_states(self, simulator: Simulator, values: Mapping[str, float]) -> tuple[Array, Array]:
         """Return mean and standard deviation of all initial states of a simulator by prior knowledge (segments, width)."""
-        hidden = simulator.hidden_spread(values)
+        hidden = np.tile(simulator.hidden_spread(values), (len(self.initial), 1))
         return np.hstack([self.initial, np.zeros_like(hidden)]), np.hstack([self.initial_sd, hidden])
 
 
@@ -239,15 +239,11 @@ def moved(free: tuple[Free, ...], values: Mapping[str, float], step: Array) -> d
 def errors(fit: Fit, mask: Mask) -> list[Array]:
     """Return the error (bins,) of each segment of a mask, initial states optimal [unit of the output].
 
-    States that no sensor shows are those that the likelihood finds, so that they are not free to explain anything. Where the
-    simulation failed the error is that of a servo at rest, so that no model gains by failing.
+    Where the simulation failed it is that of a servo at rest, so that no model gains by failing.
     """
     measured = fit.simulator.segments.measured
     residual = np.where(fit.good[:, None], fit.residual, measured - measured.mean(axis=1, keepdims=True))
-    hidden = slice(2, None)
-    likely = fit.elimination.step(fit.elimination.gradient)[mask, hidden]
-    shown, by_hidden = fit.output_by_initial[mask, :, :2], fit.output_by_initial[mask, :, hidden]
-    pairs = zip(residual[mask] - np.einsum("snk,sk->sn", by_hidden, likely), shown, strict=True)
+    pairs = zip(residual[mask], fit.output_by_initial[mask], strict=True)
     return [r - c @ np.linalg.lstsq(c, r, rcond=1e-9)[0] for r, c in pairs]
 
 

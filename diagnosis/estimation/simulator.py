@@ -26,8 +26,7 @@ Mask = NDArray[np.bool_]
 LEADERS = {"theta_load": "theta", "v_load": "v"}  # state of the load: state of the motor with which a segment sets it
 START_STATES = ("theta_start", "v_start")
 LOAD_STATES = tuple(p.name for p in LOAD_STARTS)  # initial states of a load with free play: how far and how much slower it lags
-LOAD_SPEED_SHARE = 0.3  # of the rms speed just before: standard deviation of that lag of a load's speed
-LOAD_REST_SHARE = 0.01  # of the rms speed of all records, which counts as the least just before
+LOAD_SPEED_SHARE = 0.3  # of the rms speed: standard deviation of that lag of a load's speed
 LEAST_PLAY = 1e-9  # rad: least half play by which a load's place is divided
 OWN_BRISTLES = next(e.name for e in all_effects().values() if e.rigid_friction)  # part of each simulation of rigid friction
 BRISTLE_EFFECTS = tuple(e.name for e in all_effects().values() if e.bristles)  # effects that take the place of these bristles
@@ -105,41 +104,20 @@ class Simulator:
         return other
 
     def hidden_spread(self, values: Mapping[str, float]) -> Array:
-        """Return the prior standard deviations (segments, width - 2) of the initial states that no sensor shows; their means are 0.
+        """Return the prior standard deviations (width - 2,) of the initial states that no sensor shows; their means are 0.
 
-        A load may be anywhere within its play, and beyond it by the deflection of the contact under the rms torque. After a rest
-        it is neither deflected nor moving.
+        A load may be anywhere within its play, and beyond it by the deflection of the contact under the rms torque.
         """
         if not self.play:
-            return np.empty((len(self.segments.measured), 0))
-        deflection = abs(values["b"]) * self._usual_input / self._value(f"{self.play.split('.')[0]}.stiffness", values)
-        before = self._motion_before
-        place = 1.0 + deflection / self._half(values) * before
-        return np.column_stack([place, LOAD_SPEED_SHARE * self._usual_speed * before])
+            return np.empty(0)
+        u, v = self._usual
+        deflection = abs(values["b"]) * u / self._value(f"{self.play.split('.')[0]}.stiffness", values)
+        return np.array([1.0 + deflection / self._half(values), LOAD_SPEED_SHARE * v + 1e-9])
 
     @cached_property
-    def _usual_input(self) -> float:
-        """Root mean square of the input."""
-        return float(np.sqrt(np.mean(np.square(self._u))))
-
-    @cached_property
-    def _square_speed(self) -> Array:
-        """Mean square (segments,) of the measured speed; a segment may be longer than what was measured."""
-        s = self.segments
-        speed = s.measured if s.velocity else np.diff(s.measured, axis=1) / (s.width * s.h)
-        known = np.isfinite(speed)
-        return np.asarray(np.square(np.where(known, speed, 0.0)).sum(axis=1) / np.maximum(known.sum(axis=1), 1) + 1e-18)
-
-    @property
-    def _usual_speed(self) -> float:
-        return float(np.sqrt(np.mean(self._square_speed)))
-
-    @cached_property
-    def _motion_before(self) -> Array:
-        """Speed in the segment before each, or in the first of a record, over the usual speed (segments,); rms."""
-        square = self._square_speed
-        before = square[np.arange(len(square)) - (self.segments.block > 0)]
-        return np.sqrt(before / np.mean(square) + LOAD_REST_SHARE**2)
+    def _usual(self) -> tuple[float, float]:
+        """Root mean squares of the input and of the speeds at the starts of the segments."""
+        return float(np.sqrt(np.mean(np.square(self._u)))), float(np.sqrt(np.mean(np.square(self.segments.initial[:, 1]))))
 
     def _half(self, values: Mapping[str, float]) -> float:
         return max(0.5 * self._value(self.play, values), LEAST_PLAY)

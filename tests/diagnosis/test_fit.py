@@ -267,22 +267,6 @@ def test_steps_of_start_states_make_no_segment_worse(free_play):
     assert refine_initial_states(problem, first, 0) is first
 
 
-def test_a_load_that_no_sensor_shows_is_not_free_to_explain_an_error(free_play):
-    """Where its place is known, the error is what the states of the motor leave; where it is not, the load explains some of it."""
-    backlash, first = free_play
-    mask = backlash.base.problem.counted
-
-    def left(states):
-        found = zip(first.residual[mask], first.output_by_initial[mask, :, :states], strict=True)
-        return np.array([np.mean(np.square(r - c @ np.linalg.lstsq(c, r, rcond=1e-9)[0])) for r, c in found])
-
-    hidden = first.elimination.inverse.copy()
-    hidden[:, 2:] = 0.0
-    known = replace(first, elimination=replace(first.elimination, inverse=hidden))
-    np.testing.assert_allclose(squares(known, mask), left(2), rtol=1e-6)
-    assert 1.05 * left(4).sum() < squares(first, mask).sum() < 0.95 * left(2).sum()
-
-
 def test_start_states_that_no_sensor_shows_are_paid_for():
     """The logarithm of by how much the records narrow what was known of them; nothing where they say nothing.
 

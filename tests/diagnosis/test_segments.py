@@ -192,33 +192,6 @@ def test_start_states_are_as_uncertain_as_the_sensor_is_coarse():
     assert np.all(np.sqrt(np.mean(z[1:] ** 2, axis=0)) > 0.01)
 
 
-@pytest.mark.parametrize("offset", [-10, 0, 10])
-def test_the_speed_at_a_kink_is_uncertain_by_its_error(offset):
-    """An encoder behind play begins to move at full speed; at rest and in steady motion the speed is known as before."""
-    step, speed, begins = 1e-4, 0.5, 800 + offset
-    y = np.round(speed * H * np.maximum(np.arange(1600) - begins, 0) / step) * step
-    smooth_y = np.round(speed * H * np.arange(1600) / step) * step
-    kinked, smooth_one = (cut("run", 0.0, np.zeros(1600), each, GRID, step) for each in (y, smooth_y))
-    true = speed if offset < 0 else 0.0
-    assert 0.1 < abs(kinked.initial[2, 1] - true) / kinked.initial_sd[2, 1] < 2.0
-    assert kinked.initial_sd[2, 1] > 3 * smooth_one.initial_sd[2, 1]
-    assert kinked.initial_sd[1, 1] < 0.2 * kinked.initial_sd[2, 1]
-    assert np.ptp(smooth_one.initial_sd[1:, 1]) < 0.1 * smooth_one.initial_sd[2, 1]
-
-
-def test_a_load_behind_a_servo_that_rests_is_at_rest():
-    """What is not known of a load's place and speed is what the motion just before can have left, and its place within the play."""
-    t = H * np.arange(1600)
-    y = np.where(t < 0.6, np.sin(10 * t), np.sin(6.0))
-    rests = Segments(H, WIDTH, BINS, False, (cut("run", 0.0, np.sin(10 * t), y, GRID, 1e-4),))
-    values = VALUES | {"backlash.play": 0.02, "backlash.stiffness": 30.0}
-    place, speed = simulator(rests, ("backlash",), False).hidden_spread(values).T
-    assert place[3] == pytest.approx(1.0, abs=0.05)
-    assert speed[3] < 0.05 * speed[1]
-    assert place[1] > 2.0
-    assert speed[1] == pytest.approx(0.3 * 10 / np.sqrt(2), rel=0.3)
-
-
 def test_no_reversal_amplifies_a_start():
     """Dry friction takes energy: what a start velocity moves by the end of a segment is at most time times velocity.
 
