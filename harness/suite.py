@@ -275,6 +275,8 @@ def _run_in_processes(waiting: deque[Case], jobs: int, work: Work, keep: Callabl
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 broken = broken or isinstance(future.exception(), BrokenProcessPool)
                 keep(_result(future, running.pop(future)))
+        for child in multiprocessing.active_children() if broken else ():
+            child.kill()  # one that has just begun may ignore that the pool terminates it, if this process does
 
 
 def _result(future: Future[CaseResult], case: Case) -> CaseResult:
