@@ -96,6 +96,9 @@ class Store:
                     os.fsync(file.fileno())
                 os.replace(Path(folder) / name, self.path / RUNS / name)
         except OSError as error:
+            first = error.__context__
+            if first is not None and not isinstance(first, Exception):
+                raise first from None  # an interrupt, after which the file could not be closed properly
             raise self._full(error) from None
 
     def _full(self, error: OSError) -> BristleError:

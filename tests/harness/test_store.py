@@ -71,6 +71,18 @@ def test_a_full_disk_leaves_what_was_there(store: Store, monkeypatch: pytest.Mon
     assert sorted(os.listdir(store.path / "runs")) == before
 
 
+def test_an_interrupt_while_a_file_is_written_is_an_interrupt(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_handle: int) -> None:
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        store.add([row("9")])
+
+
 def test_what_is_no_store_is_refused(tmp_path: Path, message: Message) -> None:
     (tmp_path / "thesis.txt").write_text("years of work", encoding="utf-8")
     assert "is no store of bristle sweep, and not empty" in message(lambda: Store(tmp_path))
