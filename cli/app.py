@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -52,10 +52,14 @@ TimeoutOption = Annotated[
         help="seconds that a simulation of an FMU from elsewhere may take; else a minute for a call", min=0.001, metavar="S"
     ),
 ]
-ScenarioArgument = Annotated[
-    Path,
-    typer.Argument(help="file, or name from bristle list", metavar="SCENARIO", parser=path_of, autocompletion=complete_scenario),
-]
+
+
+def scenario_argument(text: str) -> Any:
+    """Return the argument of a command that is one scenario or several; `text` is its help."""
+    return typer.Argument(help=text, metavar="SCENARIO", parser=path_of, autocompletion=complete_scenario)
+
+
+ScenarioArgument = Annotated[Path, scenario_argument("file, or name from bristle list")]
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="override a value of the file")]
 SeedOption = Annotated[int | None, typer.Option(help="seed of the controller's reference")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]

@@ -30,7 +30,12 @@ def number(value: object, digits: int = 4) -> str:
 
 def unit(text: str) -> str:
     """Return a unit as HTML text: rad/s2 -> rad/s²."""
-    return "" if text == "1" else re.sub(r"(?<=[a-z])2", "²", escape(text)).replace(".", "·")
+    return escape(written_unit(text))
+
+
+def written_unit(text: str) -> str:
+    """Return a unit as people write it, nothing for 1."""
+    return "" if text == "1" else re.sub(r"(?<=[a-z])2", "²", text).replace(".", "·")
 
 
 def identifier(text: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 from html import escape
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.drawing import ESTIMATE, FAILED, GREY, PALE, STYLE, new_figure, set_labels, set_title, svg
-from bristle.common.html import badge, figure, identifier, number, page, table, unit
+from bristle.common.html import badge, figure, identifier, number, page, table, unit, written_unit
 from bristle.common.time_plot import extremes
 from bristle.harness.comparison import Comparison, QuantityVerdict, SignalCourse, SignalVerdict, counts, differences
 from bristle.harness.tube import EXACT_MARGIN
@@ -162,8 +161,7 @@ def _scale(ax: Any, of: str) -> str:
     ax.yaxis.set_major_formatter(shown)
     if offset:
         set_title(ax, f"{offset:+.12g}".replace("-", "−"), loc="right")
-    plain_unit = "" if of == "1" else re.sub(r"(?<=[a-z])2", "²", of).replace(".", "·")
-    return " ".join(filter(None, (f"10{str(power).translate(RAISED)}" if power else "", plain_unit)))
+    return " ".join(filter(None, (f"10{str(power).translate(RAISED)}" if power else "", written_unit(of))))
 
 
 def _plot(ax: Any, course: SignalCourse, rows: NDArray[np.intp]) -> None:

@@ -51,10 +51,9 @@ class Axis:
 
     def value(self, override: str) -> float | str:
         """Return the value of one of its overrides for a table: a number in SI units, or text."""
-        text = override.partition("=")[2].strip()
         if not self.numeric:
-            return text
-        number, _, unit = text.partition(" ")
+            return override.partition("=")[2].strip()
+        number, unit = _number_and_unit(override)
         return float(number) * (parse_unit(unit).factor if unit else 1.0)
 
     @property
@@ -62,11 +61,7 @@ class Axis:
         """What its values in a table are: text, numbers in SI units, or numbers in a unit that is one of these."""
         if not self.numeric:
             return "text"
-        units = (
-            {self.unit}
-            if self.distribution is not None
-            else {each.partition("=")[2].strip().partition(" ")[2] for each in self.overrides}
-        )
+        units = {_number_and_unit(each)[1] for each in self.overrides} or {self.unit}
         [unit] = units if len(units) == 1 else [""]
         return unit if unit and parse_unit(unit).factor == 1.0 else "numbers in SI units"
 
@@ -186,9 +181,15 @@ def design(
     return found
 
 
+def _number_and_unit(override: str) -> tuple[str, str]:
+    """Return the number of an override and its unit, which may be empty, as texts."""
+    number, _, unit = override.partition("=")[2].strip().partition(" ")
+    return number, unit
+
+
 def _dimension(override: str) -> tuple[int, ...] | None:
     """Return the exponents of the unit of an override, None if it is no number with a unit."""
-    number, _, unit = override.partition("=")[2].strip().partition(" ")
+    number, unit = _number_and_unit(override)
     try:
         float(number)
         return parse_unit(unit or "1").exponents

@@ -198,13 +198,15 @@ def _mixed(runs: Runs) -> str:
     counts = Counter(runs.versions)
     if len(counts) < 2:
         return ""
+    passed = Counter(version for version, word in zip(runs.versions, runs.verdict, strict=True) if word == "pass")
     dates = {sweep["scenario_sha256"]: sweep["provenance"]["date"] for sweep in reversed(runs.sweeps)}
     rows = []
-    for version in counts:
-        chosen = np.array([each == version for each in runs.versions])
+    for version, count in counts.items():
         fmus = digest(*map(str, version[1:]))[:8]
         since = escape(str(dates.get(version[0], "")))
-        rows.append((f"<code>{escape(str(version[0])[:8])}</code>", f"<code>{fmus}</code>", since, runs.share(chosen).text()))
+        rows.append(
+            (f"<code>{escape(str(version[0])[:8])}</code>", f"<code>{fmus}</code>", since, Share(passed[version], count).text())
+        )
     note = f"<p>The runs are of {len(counts)} versions of the scenario or its FMUs; everything below is over all of them.</p>"
     return note + table(("scenario, hash", "FMUs, hash", "first asked for", "runs that pass [95 % interval]"), rows)
 

@@ -138,7 +138,7 @@ def _what_a_time_does(files: Files) -> str:
             back = np.flatnonzero(np.diff(values) < 0)
             if len(back):
                 k = int(back[0])
-                return f": '{name}' goes back in {path}, from {values[k]:.6g} to {values[k + 1]:.6g} at sample {k + 2}"
+                return f": '{name}' goes back in {path}, from {values[k]:.6g} to {values[k + 1]:.6g} at sample {k + 1}"
             if len(repeated := np.flatnonzero(np.diff(values) == 0)):
                 return f": '{name}' repeats {len(repeated)} of {len(values)} values in {path}"
     return ""

@@ -86,6 +86,12 @@ def heading(name: str, unit: str | None = None) -> Heading:
     return Heading(name, symbol, quantity, named is not None, setpoint, any(_unwanted(word) for word in words))
 
 
+def without_unit(name: str) -> str:
+    """Return a name without the unit in brackets at its end, if it has one."""
+    match = _BRACKETS.match(name)
+    return match["label"] if match else name
+
+
 def quantity_of(unit: str) -> str | None:
     """Return the quantity that a unit is one of."""
     if unit == COUNTS:

@@ -20,8 +20,8 @@ from bristle.cli.app import (
     TimeoutOption,
     app,
     path_of,
+    scenario_argument,
 )
-from bristle.cli.completion import complete_scenario
 from bristle.cli.files import refuse_duplicates
 from bristle.cli.terminal import command_line, fraction
 
@@ -33,12 +33,7 @@ from bristle.cli.terminal import command_line, fraction
     "failed, and the run is stored nevertheless; 2: an error.",
 )
 def accept(
-    scenarios: Annotated[
-        list[Path],
-        typer.Argument(
-            help="scenario files, or names from bristle list", metavar="SCENARIO", parser=path_of, autocompletion=complete_scenario
-        ),
-    ],
+    scenarios: Annotated[list[Path], scenario_argument("scenario files, or names from bristle list")],
     out: Annotated[Path, typer.Option(help="folder for the baselines", metavar="FOLDER", parser=path_of)] = Path("baselines"),
     kind: KindOption = Kind.native,
     fmi: FmiOption = Fmi.two,

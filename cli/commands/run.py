@@ -21,8 +21,8 @@ from bristle.cli.app import (
     TimeoutOption,
     app,
     path_of,
+    scenario_argument,
 )
-from bristle.cli.completion import complete_scenario
 from bristle.cli.files import refuse_duplicates
 from bristle.cli.terminal import complain, progress
 from bristle.common.errors import BristleError
@@ -37,12 +37,7 @@ if TYPE_CHECKING:
 def run(
     scenarios: Annotated[
         list[Path],
-        typer.Argument(
-            help="scenario files, names from bristle list, .ssp packages, FMUs with experiments, or .exp files of them",
-            metavar="SCENARIO",
-            parser=path_of,
-            autocompletion=complete_scenario,
-        ),
+        scenario_argument("scenario files, names from bristle list, .ssp packages, FMUs with experiments, or .exp files of them"),
     ],
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out"),
     kind: KindOption = Kind.native,

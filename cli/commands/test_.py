@@ -9,8 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bristle.cli.app import ERROR, FAIL, PASS, DebugOption, Fmi, FmiOption, Kind, KindOption, SetOption, TimeoutOption, app, path_of
-from bristle.cli.completion import complete_scenario
+from bristle.cli.app import (
+    ERROR,
+    FAIL,
+    PASS,
+    DebugOption,
+    Fmi,
+    FmiOption,
+    Kind,
+    KindOption,
+    SetOption,
+    TimeoutOption,
+    app,
+    path_of,
+    scenario_argument,
+)
 from bristle.cli.terminal import command_line, complain_each, fraction
 from bristle.common.errors import BristleError
 
@@ -24,15 +37,7 @@ if TYPE_CHECKING:
     epilog="Exit code 0: all runs pass; 1: a check does not hold; 2: a scenario cannot be run, and then none runs.",
 )
 def suite(
-    scenarios: Annotated[
-        list[Path],
-        typer.Argument(
-            help="files, names from bristle list, or folders of them",
-            metavar="SCENARIO",
-            parser=path_of,
-            autocompletion=complete_scenario,
-        ),
-    ],
+    scenarios: Annotated[list[Path], scenario_argument("files, names from bristle list, or folders of them")],
     out: Annotated[Path, typer.Option(help="folder for the results", metavar="FOLDER", parser=path_of)] = Path("out/test"),
     seeds: Annotated[str | None, typer.Option(help="seeds of the reference: 1-12 or 1,4,7-9", metavar="SEEDS")] = None,
     vary: Annotated[

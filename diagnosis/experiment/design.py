@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -21,12 +20,12 @@ from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.result import DesignedInput
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.start_values import SearchOptions, dry_friction
+from bristle.records.headings import without_unit
 
 EXPERIMENT_SECONDS = 20.0  # s: length of the record
 MOST_RIVALS = 4  # models that an input is to tell apart at most
 CLOSEST = 2  # of the effects that were tried, if none was above chance: those that are told from no effect
 MARGIN = 0.05  # of the range that was travelled: distance from its ends that a motion is to keep
-UNIT_IN_BRACKETS = re.compile(r"\s*[(\[][^()\[\]]*[)\]]\s*$")  # at the end of a column's name
 DISTURBANCES = 2  # disturbances under which each model is to keep it
 
 
@@ -171,5 +170,4 @@ def _described(plan: _Design, case: Case, best: _Trial | None) -> DesignedInput:
 
 def _headings(model: Model) -> tuple[str, str]:
     """Return the columns of the file: as the records name them, with units."""
-    time, given = (UNIT_IN_BRACKETS.sub("", name) for name in (model.time.column, model.input.column))
-    return f"{time} [s]", f"{given} [{model.input.unit}]"
+    return f"{without_unit(model.time.column)} [s]", f"{without_unit(model.input.column)} [{model.input.unit}]"
