@@ -37,7 +37,7 @@ from bristle.harness.tube import SAFETY
 from bristle.model.compiler import Toolchain, find_compiler, known_compilers
 
 JOBS = 2  # processes
-UNSEEN_SEEDS = range(101, 105)  # of roundings that no baseline has seen
+UNSEEN_SEEDS = range(101, 109)  # of roundings that no baseline has seen
 CHANGE = 1.01  # factor of a parameter that must be seen
 IDLE = ("sample_time", "theta_start", "v_start", "u_max")  # parameters that a run may not depend on
 FACTORS = (1.0, 3.0, SAFETY)  # multiples of the measured spread
