@@ -43,6 +43,7 @@ PARAMETERS = {  # of the catalogue; a rise too short to see is none
     "encoder_play": ("play",),
     "asymmetric_viscous": ("coefficient",),
     "gear_loss": ("driving", "driven"),
+    "return_spring": ("stiffness", "rest"),
 }
 
 CLASSES = {
@@ -336,12 +337,21 @@ def gear_loss(rng: Generator, s: Setting) -> Shape:
     return Shape(fields, 0.005, 0.06, 0.6)
 
 
+def return_spring(rng: Generator, s: Setting) -> Shape:
+    """Linear, at rest somewhere in the middle of the range; other form: one that stiffens, by half or more at the ends."""
+    low, high = s.position(0.0), s.position(1.0)
+    rest, stiffening = rng.uniform(0.3, 0.7), rng.uniform(0.5, 1.5) if s.other else 0.0
+    fixed = {"return_spring_rest": low + rest * (high - low), "return_spring_stiffening": stiffening / (0.5 * (high - low)) ** 2}
+    return Shape(lambda m: {**fixed, "return_spring_stiffness": m / (high - low)}, 4e-4, 6e-3, 0.6)
+
+
 EFFECTS: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (
         bias, asymmetric_coulomb, quadratic_drag, stribeck, presliding, bristle_damping, cogging, gravity, dead_zone, saturation,
         gain_asymmetry, input_delay, electrical_pole, backlash, compliance, load_friction, hard_stop, friction_drift,
         disturbance_step, eccentric_encoder, position_friction, encoder_play, asymmetric_viscous, gear_loss,
+        return_spring,
     )
 }  # fmt: skip
 

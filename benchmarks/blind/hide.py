@@ -12,12 +12,16 @@ import argparse
 import base64
 import hashlib
 import json
+import sys
 import zlib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from cases import CONTROL_RATIO, REDRAWS, Case, Spec, bounds_of, draw, nominal, seed_of
@@ -34,7 +38,7 @@ SEALED, DIGEST = "answers.sealed", "answers.sha256"
 SPAN = (4.0, 15.0)  # gap ratios
 OUTSIDE, CONTROLS, PAIR = "timed_tone", ("noise_only", "wrong_inertia"), ("cogging", "quadratic_drag")
 STEP = 2.0**-10  # N.m, a 12 bit converter of 2 N.m either way
-LATER = ("encoder_play", "asymmetric_viscous", "gear_loss")  # came to the catalogue when the others had their numbers
+LATER = (("encoder_play", "asymmetric_viscous", "gear_loss"), ("return_spring",))  # came when the others had their numbers
 CURRENTS = 4  # cases whose input is a current, whatever is hidden in them
 CONSTANTS = (0.0625, 0.125, 0.25)  # N.m/A, powers of two: the steps stay exact
 ABSORBED = (0.8, 1.8)  # back EMF over viscous friction
@@ -42,13 +46,14 @@ ABSORBED = (0.8, 1.8)  # back EMF over viscous friction
 
 def specs() -> list[Spec]:
     """Return all cases, numbered from 1 in an order that says nothing about them; what came later has the last numbers."""
-    first = (name for name in EFFECTS if name not in LATER)
+    first = (name for name in EFFECTS if name not in chain(*LATER))
     found = [Spec(0, "same", "single", (name,), span=SPAN) for name in (*first, "back_emf")]
     found += [Spec(0, "control", "control", (name,), span=(0.0, CONTROL_RATIO)) for name in CONTROLS]
     found += [Spec(0, "outside", "outside", (OUTSIDE,), span=SPAN), Spec(0, "pair", "pair", PAIR)]
     order = np.random.default_rng(seed_of(SEED, "order")).permutation(len(found))
-    later = np.random.default_rng(seed_of(SEED, "later")).permutation(LATER)
-    numbered = [*(found[j] for j in order), *(Spec(0, "same", "single", (str(name),), span=SPAN) for name in later)]
+    rng = np.random.default_rng(seed_of(SEED, "later"))
+    later = (str(name) for names in LATER for name in rng.permutation(names))
+    numbered = [*(found[j] for j in order), *(Spec(0, "same", "single", (name,), span=SPAN) for name in later)]
     return [replace(spec, index=i) for i, spec in enumerate(numbered, 1)]
 
 
@@ -125,7 +130,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     plan = specs()
-    constants = motor_constants(len(plan) - len(LATER))
+    constants = motor_constants(len(plan) - len([*chain(*LATER)]))
     library()  # compiled once, before the workers start
     with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
         calls = [pool.submit(make, spec, constants.get(spec.index), arguments.out) for spec in plan]

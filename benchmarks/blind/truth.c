@@ -121,6 +121,10 @@ typedef struct {
     double position_friction_second; /* other: share of a second harmonic */
     double position_friction_second_phase;
 
+    double return_spring_stiffness;
+    double return_spring_rest;
+    double return_spring_stiffening; /* other: 1/rad2 */
+
     double tone_amplitude; /* outside the catalogue from here on */
     double tone_frequency;
     double tone_phase;
@@ -296,6 +300,10 @@ static double load_side(const Plant *p, double theta, double v, double t)
         torque -= p->gravity_amplitude * sin(theta + p->gravity_phase);
         if (p->gravity_second != 0)
             torque -= p->gravity_amplitude * p->gravity_second * sin(2 * theta + p->gravity_second_phase);
+    }
+    if (p->return_spring_stiffness > 0) {
+        const double stretch = theta - p->return_spring_rest;
+        torque -= p->return_spring_stiffness * stretch * (1 + p->return_spring_stiffening * stretch * stretch);
     }
     if (p->hard_stop_stiffness > 0)
         torque += stop_torque(p, p->hard_stop_lower - theta, -v) - stop_torque(p, theta - p->hard_stop_upper, v);

@@ -36,7 +36,7 @@ EFFECT = Effect(
     equation="T = -A (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta))",
     residual=("theta",),
     excitation="more than half a turn",
-    confounded=("hard_stop", "bias", "eccentric_encoder", "cogging"),
+    confounded=("return_spring", "hard_stop", "bias", "eccentric_encoder", "cogging"),
     parameters=(
         Parameter("gravity.amplitude", "A", "N.m", 0.005, -1e6, 1e6, "weight times arm", "spong2006 chapter 7"),
         Parameter("gravity.phase", "phi", "rad", 0.0, -10.0, 10.0, "angle to the lowest point at theta = 0", "spong2006 chapter 7"),

@@ -59,7 +59,7 @@ EFFECT = Effect(
     residual=("theta",),
     sparse=True,
     excitation="motion that reaches the stop",
-    confounded=("gravity",),
+    confounded=("gravity", "return_spring"),
     parameters=(
         Parameter("hard_stop.stiffness", "k", "N.m/rad", 0.5, 0.0, 1e9, "stiffness of the stops", "acary2008"),
         Parameter("hard_stop.upper", "upper", "rad", 1.0, -1e6, 1e6, "where the upper stop begins", "acary2008"),

@@ -69,7 +69,7 @@ def test_the_three_run_in_one_scenario_and_are_built(written, installed):
 
 @pytest.mark.slow
 def test_a_new_effect_is_named_by_a_diagnosis(written, installed):
-    """Of a servo that has it, and a model that lacks it; beside it, those that a spring resembles are tried."""
+    """Of a servo that has it, and a model that lacks it; beside it, those that a damper resembles are tried."""
     program = """
 import numpy as np, sys
 import bristle
@@ -77,7 +77,7 @@ from bristle.diagnosis.selection import stepwise
 from bristle.model.native import Native
 from bristle.plant.effects import effects
 from bristle.plant.servo import servo_program
-servo = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "fresh_effect.stiffness": 0.2, "fresh_effect.rest": 0.3}
+servo = {"J": 0.01, "a2": 0.02, "coulomb.Fc": 0.12, "b": 1.0, "fresh_effect.coefficient": 2e-4}
 t, rng = 1e-3 * np.arange(12000), np.random.default_rng(1)
 f = np.array([0.15, 0.37, 0.61, 0.93, 1.7, 2.9, 4.3, 7.1, 11.0])
 u = 0.15 * np.sum(np.sin(2 * np.pi * f * t[:, None] + rng.uniform(0, 2 * np.pi, 9)), axis=1)
@@ -107,7 +107,7 @@ kind = "position"
 unit = "rad"
 resolution = 3.834951969714103e-4
 ''')
-tried = ("fresh_effect", "gravity", "bias", "cogging", "hard_stop", "position_friction", "compliance")
+tried = ("fresh_effect", "quadratic_drag", "stribeck", "back_emf", "gravity", "hard_stop", "compliance")
 stepwise.all_effects = lambda: {name: effects()[name] for name in tried}
 model = bristle.load_model("servo.toml")
 found = bristle.diagnose(model, bristle.records_from_arrays(model, [("run", t, u, theta)]), "diagnosed")

@@ -46,7 +46,7 @@ STRONG = {  # effects, each as strong as the friction or so
     "compliance": {"stiffness": 40.0}, "load_friction": {"coefficient": 0.2}, "hard_stop": {"upper": 0.3, "stiffness": 3.0},
     "friction_drift": {"rate": 0.05}, "disturbance_step": {"torque": 0.1}, "eccentric_encoder": {}, "position_friction": {},
     "back_emf": {"constant": 0.03}, "encoder_play": {"play": 0.02}, "asymmetric_viscous": {"coefficient": 0.01},
-    "gear_loss": {"driving": 0.2, "driven": 0.05},
+    "gear_loss": {"driving": 0.2, "driven": 0.05}, "return_spring": {"stiffness": 0.3, "rest": 0.2},
 }  # fmt: skip
 
 

@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE))
 CONSOLES = re.findall(r"^```console\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
-ADDED = ("lorentzian", "cable_spring", "projection")
+ADDED = ("lorentzian", "cubic_damper", "projection")
 FOLDERS = {"laws": "plant/friction", "effects": "plant/effects", "observers": "observer", "scenarios": "scenarios"}
 SECONDS = re.compile(r" *\d+\.\d s")
 
@@ -80,10 +80,10 @@ def test_every_command_of_the_page_prints_what_it_shows(written):
 
 
 PROPERTIES = (
-    ("tests/plant/test_effects.py", "cable_spring or lorentzian or shipped or pairs or one_class"),
+    ("tests/plant/test_effects.py", "cubic_damper or lorentzian or shipped or pairs or one_class"),
     ("tests/plant/test_friction_laws.py tests/plant/test_servo.py", "lorentzian or every_file"),
     ("tests/observer/test_methods.py", "projection"),
-    ("tests/model/test_agreement.py tests/model/test_arrays.py", "lorentzian or cable_spring or projection"),
+    ("tests/model/test_agreement.py tests/model/test_arrays.py", "lorentzian or cubic_damper or projection"),
     ("tests/meta/test_declarations.py tests/meta/test_generated_docs.py", ""),
 )
 
@@ -152,7 +152,7 @@ def test_a_scenario_takes_the_fmu_of_a_plugin_alone(written, monkeypatch):
     assert fmus["observer"].choices("method") == fmus["plant"].choices("law") == {}
 
 
-LAW, EFFECT, METHOD = "laws/lorentzian.py", "effects/cable_spring.py", "observers/projection.py"
+LAW, EFFECT, METHOD = "laws/lorentzian.py", "effects/cubic_damper.py", "observers/projection.py"
 DECLARED = {"laws": laws, "effects": effects, "observers": methods}
 KINDS_OF_FILE = pytest.mark.parametrize("file", [LAW, EFFECT, METHOD])
 
@@ -194,15 +194,15 @@ MISTAKES = [
     (LAW, '    "lorentzian",', '    "Lorentz law",', "name 'Lorentz law': write lower-case letters"),
     (LAW, "LAW =", "OTHER =", "no LAW that is a FrictionLaw"),
     (LAW, "LAW =", "LAW = 3\nOTHER =", "no LAW that is a FrictionLaw"),
-    (EFFECT, 'off={"stiffness"', 'off={"stifness"', "off: 'stifness' is no parameter of the effect (did you mean 'stiffness'?)"),
+    (EFFECT, 'off={"coefficient"', 'off={"coeficient"', "off: 'coeficient' is no parameter of the effect (did you mean 'coefficient'?)"),
     (EFFECT, "    load_side", '    periods="turns",\n    load_side', "periods or free_play: 'turns' is no parameter"),
-    (EFFECT, '    "cable_spring",', '    "cable-spring",', "name 'cable-spring': write lower-case letters"),
-    (EFFECT, '"theta",)', '"position",)', "residual: 'position' is no view"),
-    (EFFECT, '"gravity", "bias"', '"gravty", "bias"', "confounded: 'gravty' is no effect (did you mean 'gravity'?)"),
-    (EFFECT, 'group="cable_spring"', 'group="bias"', "group 'bias' lacks 'cable_spring'"),
+    (EFFECT, '    "cubic_damper",', '    "cubic-damper",', "name 'cubic-damper': write lower-case letters"),
+    (EFFECT, '"v",)', '"velocity",)', "residual: 'velocity' is no view"),
+    (EFFECT, '"stribeck")', '"stribek")', "confounded: 'stribek' is no effect (did you mean 'stribeck'?)"),
+    (EFFECT, 'group="cubic_damper"', 'group="bias"', "group 'bias' lacks 'cubic_damper'"),
     (EFFECT, "    load_side", '    without_truth=("alpha",),\n    load_side', "without_truth: 'alpha' is no normalised parameter"),
     (EFFECT, '"{torque} of', '"{tork} of', "EFFECT is malformed: KeyError: 'tork'"),
-    (EFFECT, '"N.m/rad"', '"Nm/rad"', "did you mean 'N.m'?"),
+    (EFFECT, '"N.m.s3/rad3"', '"Nm"', "did you mean 'N.m'?"),
     (METHOD, '"rad/s", 1.5', '"rads", 1.5', "parameter 'projection.vc': unit 'rads'"),
     (METHOD, '"ljung1999 section 11.2",\n    "y_v"', '"ljung section 11.2",\n    "y_v"', "names no key"),
     (METHOD, 'State("v", "rad/s"', 'State("v", "rad/h"', "state 'v': unit 'rad/h'"),
@@ -236,14 +236,14 @@ def test_a_folder_may_have_its_own_references(plugin, tmp_path):
 
 COMPOSED = {
     LAW: lambda: servo_program("lorentzian"),
-    EFFECT: lambda: servo_program("coulomb", effects=("cable_spring", "bias")),
+    EFFECT: lambda: servo_program("coulomb", effects=("cubic_damper", "bias")),
     METHOD: lambda: observer_program("projection"),
 }
 EQUATIONS = [
     (LAW, "p.Fs - p.Fc", "p.Fs - p.Fd", "line 16: AttributeError: no symbol 'Fd'"),
     (LAW, "return Friction(", "return dict(", "AttributeError: 'dict' object"),
     (LAW, "force=ca.SX(0)", 'force=ca.SX(0), rates={"z": v}', "'z' needs both a state and a rate"),
-    (EFFECT, "return ca.SX(-c.p", "return (1 / 0) * ca.SX(-c.p", "line 17: ZeroDivisionError"),
+    (EFFECT, "return ca.SX(-c.p", "return (1 / 0) * ca.SX(-c.p", "line 16: ZeroDivisionError"),
     (EFFECT, "return ca.SX(-c.p", "return None and ca.SX(-c.p", "TypeError: "),
     (METHOD, "def adapt(", "def adapt(*_):\n    raise ValueError('two\\nlines')\n\n\ndef unused(", "ValueError: two lines"),
     (METHOD, "return Update(", "return (", "AttributeError: 'tuple' object"),
@@ -261,7 +261,7 @@ def test_an_error_in_equations_is_told_with_the_file(plugin, message, file, old,
 
 def test_parts_that_do_not_fit_blame_no_file(plugin, message):
     plugin(EFFECT, "", "")
-    assert message(lambda: servo_program("viscous", effects=("cable_spring", "stribeck"))).startswith("effect 'stribeck'")
+    assert message(lambda: servo_program("viscous", effects=("cubic_damper", "stribeck"))).startswith("effect 'stribeck'")
 
 
 def test_a_scenario_that_is_no_toml_is_told_with_its_file(plugin, message):

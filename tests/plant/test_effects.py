@@ -88,7 +88,7 @@ def every(law_name):
 
 def test_what_is_shipped_is_the_catalogue():
     assert set(SHIPPED) <= set(effects())
-    assert len(SHIPPED) == len(set(SHIPPED)) == 25
+    assert len(SHIPPED) == len(set(SHIPPED)) == 26
     assert list(effects()) == sorted(effects())
     assert {name for name in SHIPPED if not effect(name).off} == ALWAYS_ACTING
 
@@ -428,6 +428,9 @@ VISCOUS = {  # name: (parameters, states, rates)
     "hard_stop": (
         {"hard_stop.stiffness": 0.3, "hard_stop.upper": 0.5, "hard_stop.lower": -0.4}, 2,
         simple(lambda t, th, v, u: B * u - 0.3 * ((th - 0.5) if th > 0.5 else (th + 0.4) if th < -0.4 else 0.0)),
+    ),
+    "return_spring": (
+        {"return_spring.stiffness": 0.01, "return_spring.rest": 0.3}, 2, simple(lambda t, th, v, u: B * u + 0.003 - 0.01 * th)
     ),
     "disturbance_step": (
         {"disturbance_step.torque": 0.006, "disturbance_step.onset": 0.25, "disturbance_step.rise": 0.1}, 2,
