@@ -26,11 +26,11 @@ class Scaffold:
 
 
 FIRST_SCENARIO = {"law": "modified", "effects": "", "values": "", "method": "rls", "sensor": "encoder", "limit": "2.0"}
-WEAK_SPRING = '"$name.stiffness" = "0.0001 N.m/rad"\n'  # a spring that leaves the servo its motion
+WEAK_DAMPER = '"$name.coefficient" = "0.00000001 N.m.s3/rad3"\n'  # a damper that leaves the servo its motion
 SCAFFOLDS = {
     "law": Scaffold("laws", "friction law", "plant --law $name", {**FIRST_SCENARIO, "law": "$name"}),
     "effect": Scaffold(
-        "effects", "effect", "plant --law lugre --effects $name", {**FIRST_SCENARIO, "effects": '"$name"', "values": WEAK_SPRING}
+        "effects", "effect", "plant --law lugre --effects $name", {**FIRST_SCENARIO, "effects": '"$name"', "values": WEAK_DAMPER}
     ),
     "observer": Scaffold(
         "observers", "observer", "observer --method $name", {**FIRST_SCENARIO, "method": "$name", "sensor": "clean"}

@@ -93,6 +93,23 @@ def check_not_replaced(out: Path, names: Sequence[str], inputs: Iterable[Path]) 
             raise BristleError(f"{path}: would be replaced by what is written into {out}; give another folder")
 
 
+def check_files_writable(files: Iterable[Path]) -> None:
+    """Make the folders of files that are to be written later; raise `BristleError` if one of them could not be.
+
+    So that a typo in a path is told before a long run and not after it.
+    """
+    for path in files:
+        there = path.exists()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("ab"):
+                pass
+            if not there:
+                path.unlink()
+        except OSError as error:
+            raise BristleError(f"{path}: {error.strerror or error}; give a file that can be written") from None
+
+
 def check_no_folder(out: Path, names: Sequence[str]) -> None:
     """Raise `BristleError` if a file of one of these names could not be written into `out`, because a folder is called so."""
     for name in names:

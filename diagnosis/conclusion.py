@@ -88,6 +88,7 @@ class Conclusion:
 
     verdict: str
     final: FittedModel  # the model with all effects that are named
+    fit: Fit  # that model refitted to all segments
     rounds: tuple[SearchRound, ...]
     comparison: Comparison  # of the final model with the one before the search
     remains: Unexplained
@@ -134,8 +135,8 @@ def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
     verdict = "named" if named else unnamed(last, case.dataset.poor_excitation, left, unidentified)
     floor_unknown = left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE)
     return Conclusion(
-        "not_identifiable" if proposal else verdict, final, rounds, comparison, left, known_floor(comparison.gap, floor_unknown),
-        _named(rounds, named, parameters), () if proposal else _ties(rounds), undecided, base, parameters, unidentified,
+        "not_identifiable" if proposal else verdict, final, whole, rounds, comparison, left,
+        known_floor(comparison.gap, floor_unknown), _named(rounds, named, parameters), () if proposal else _ties(rounds), undecided, base, parameters, unidentified,
         {} if proposal else {c.name: estimates(case.model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit},
         proposal,
     )  # fmt: skip
@@ -300,9 +301,7 @@ def unidentified_parameters(plain: Estimates) -> tuple[str, ...]:
 
     The output then hardly follows the input, and that no effect is found means nothing.
     """
-    within = [(abs(e.value), e.ci95) for e in plain.values() if e.ci95 is not None and not e.at_bound]
-    known = any(high - low < 2 * KNOWN_HALF_WIDTH * size for size, (low, high) in within)
-    return () if known else tuple(plain)
+    return () if any(e.known_within(KNOWN_HALF_WIDTH) for e in plain.values()) else tuple(plain)
 
 
 def undecided_names(verdict: SearchRound) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from bristle.common.deadline import until, within
 from bristle.common.errors import BristleError
+from bristle.diagnosis.agreement import agreement, with_agreement
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
@@ -120,17 +121,19 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         refitted, whole = refit or refit_to_whole_records(case, found, refit=False)
         more = prepared.additions(found)
         fill = in_time(REFIT_SHARE, lambda: [unnamed_torque(case, found)])
+        agree = in_time(REFIT_SHARE, lambda: [agreement(case, found)])
         tell("what to measure next", 0.95)
         ask = in_time(DESIGN_SHARE, lambda: [design(case, found, options)])
         done = {
             "parameters were not refitted to whole records": refit,
             "no unnamed torque": fill,
+            "records were not compared for their parameters": agree,
             "no input of a further record": ask,
         }
         left = _cut_short(outcome, options, [what for what, was in done.items() if was is None])
         more = replace(more, findings_after=(*more.findings_after, *left))
-        [unnamed], [designed] = fill or [None], ask or [None]
-        said = with_unnamed_torque(as_diagnosis(case, refitted, whole, more), unnamed)
+        [unnamed], [agrees], [designed] = fill or [None], agree or [None], ask or [None]
+        said = with_agreement(with_unnamed_torque(as_diagnosis(case, refitted, whole, more), unnamed), agrees)
         text = " ".join(filter(None, (said.experiment, designed_line(designed, case.model))))
         return replace(said, experiment=text, designed=designed, seconds=time.perf_counter() - started)
 

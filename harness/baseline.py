@@ -289,7 +289,7 @@ def read_json(path: Path) -> dict[str, Any]:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BristleError(f"{path}: {error.strerror}; give a baseline, or a result folder of bristle run") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BristleError(f"{path}: no JSON ({error}); make the folder again") from None
     if not isinstance(tree, dict):
         raise BristleError(f"{path}: holds no object; make the folder again")

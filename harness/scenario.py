@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import tomllib
@@ -168,6 +169,10 @@ class Check(Section):
     def _limited(self) -> Check:
         if self.min is None and self.max is None and self.max_abs is None:
             raise ValueError("no limit; give min, max or max_abs")
+        low = max(-math.inf if self.min is None else self.min, -math.inf if self.max_abs is None else -self.max_abs)
+        high = min(math.inf if self.max is None else self.max, math.inf if self.max_abs is None else self.max_abs)
+        if low > high:
+            raise ValueError(f"no number is at least {low:g} and at most {high:g}; correct the limits")
         return self
 
 

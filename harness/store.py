@@ -132,12 +132,14 @@ class Store:
         return keys
 
     def dataset(self) -> pyarrow.dataset.Dataset:
-        """Return all files as one, with all their columns."""
+        """Return all files as one, with all their columns; pages are compared with their checksums as they are read."""
         self.require()
         try:
             schemas = [_must_have_runs(path, pq.read_schema(path)) for path in self.files()]
             schema = pa.unify_schemas(schemas, promote_options="permissive")
-            return pyarrow.dataset.dataset([str(path) for path in self.files()], schema=schema, format="parquet")
+            checked = pyarrow.dataset.ParquetFragmentScanOptions(page_checksum_verification=True)
+            form = pyarrow.dataset.ParquetFileFormat(default_fragment_scan_options=checked)
+            return pyarrow.dataset.dataset([str(path) for path in self.files()], schema=schema, format=form)
         except (OSError, pa.ArrowException) as error:
             raise self._damaged(error) from None
 

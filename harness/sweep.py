@@ -516,7 +516,8 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
     total, verdicts = design.runs - there.total(), dict.fromkeys(("pass", "fail", ERROR_VERDICT), 0)
     tell = progress or (lambda _done, _total: None)
     with _executor(sweep, means, watcher) as (submit, workers):
-        store.describe(sweep.name, _described(sweep, design, means.command))
+        described = _described(sweep, design, means.command)
+        store.describe(sweep.name, {**described, "finished": False})
         size = max(1, min(CHUNK_RUNS, math.ceil(total / (workers * CHUNKS_A_JOB))))
         size = math.ceil(size / MOST_LANES) * MOST_LANES if sweep.lanes else size  # so that no lane is left over
         for rows in _finished(submit, _batches(todo, size), 2 * workers, lambda: tell(watcher.done, total)):
@@ -524,6 +525,7 @@ def run_sweep(sweep: Sweep, design: Design, store: Store, means: Means | None = 
             for row in rows:
                 verdicts[row["verdict"]] += 1
             watcher.done = max(watcher.done, sum(verdicts.values()))
+        store.describe(sweep.name, {**described, "finished": True})
     tell(total, total)
     return Summary(verdicts, {word: there[word] for word in verdicts if word in there}, time.perf_counter() - begun)
 
@@ -569,7 +571,7 @@ def _executor(sweep: Sweep, means: Means, watcher: Watcher) -> Iterator[tuple[Ca
         try:
             yield lambda points: remote.submit(run_chunk, shipped, points), workers
         except BaseException:
-            remote.shutdown(wait=False, cancel_futures=True)
+            remote.shutdown(wait=False)  # which cancels what is waiting or under way
             raise
 
 

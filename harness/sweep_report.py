@@ -111,6 +111,16 @@ class Runs:
         unit = units.pop() if len(units) == 1 else ""
         return name if " " in unit or unit in ("", "text") else f"{name} [{unit}]"
 
+    @property
+    def unfinished(self) -> list[str]:
+        """A line on each sweep that was not finished: its runs that are not in the store are missing here."""
+        return [
+            f"the sweep of {sweep['runs']} runs of {sweep['scenario']} begun at {sweep['provenance']['date']} is not finished: the "
+            f"store has {len(self)} runs; resume it"
+            for sweep in self.sweeps
+            if not sweep.get("finished", True)
+        ]
+
     @cached_property
     def versions(self) -> list[tuple[object, ...]]:
         """What decides each run beside its values and its seed: hashes of scenario and FMUs."""
@@ -147,7 +157,8 @@ def summary(runs: Runs) -> dict[str, Any]:
         return {"count": each.count, "total": each.total, "interval95": list(each.interval) if each.total else None}
 
     return {
-        "runs": len(runs), "verdicts": dict(Counter(runs.verdict)), "pass": share(runs.share()), "failed_checks": _failed(runs),
+        "runs": len(runs), "unfinished": runs.unfinished,
+        "verdicts": dict(Counter(runs.verdict)), "pass": share(runs.share()), "failed_checks": _failed(runs),
         "estimates": {
             each["parameter"]: {
                 "valid": share(each["valid"]), "error_percent": dict(zip(("p5", "p50", "p95"), each["percentiles"], strict=True)),
@@ -170,7 +181,8 @@ def render(runs: Runs) -> str:
     shown = _shown(runs)
     scenarios = ", ".join(dict.fromkeys(str(sweep["scenario"]) for sweep in runs.sweeps))
     title = f"<h1>Sweep of {escape(scenarios)} {head}</h1>"
-    parts = [f"<header>{title}<p>{note}</p>{_mixed(runs)}</header>", _verdicts(runs), _estimates(runs, shown)]
+    missing = "".join(f"<p><b>{escape(line[0].upper() + line[1:])}.</b></p>" for line in runs.unfinished)
+    parts = [f"<header>{title}{missing}<p>{note}</p>{_mixed(runs)}</header>", _verdicts(runs), _estimates(runs, shown)]
     parts += [_maps(runs, shown), _rows(runs, shown), _origin(runs)]
     return page(f"{share.count} of {share.total} runs pass", "\n".join(parts))
 

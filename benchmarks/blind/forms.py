@@ -55,6 +55,8 @@ CLASSES = {
     "bristle_damping": "presliding/bristle_damping",
     "load_friction": "load_friction/gear_loss",
     "gear_loss": "load_friction/gear_loss",
+    "gravity": "gravity/return_spring",
+    "return_spring": "gravity/return_spring",
 }
 
 

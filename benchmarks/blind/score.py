@@ -39,7 +39,7 @@ class Judged:
     @property
     def truth(self) -> list[str]:
         """Classes of the hidden effects."""
-        return sorted(effect["class"] for effect in self.answer["effects"])
+        return sorted(class_of(effect["name"]) for effect in self.answer["effects"])
 
     @property
     def named(self) -> list[str]:

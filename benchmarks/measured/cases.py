@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 import measured_data as measured
@@ -44,8 +45,9 @@ class Run:
 
     @property
     def right(self) -> bool:
-        """True if the effects named are one of the sets that count as right."""
-        return frozenset(e.name for e in self.found.effects) in self.wanted
+        """True if the effects named are one of the sets that count as right, or may be by the ties of their classes."""
+        each = [{e.name, *(name for tie in self.found.ties if e.name in tie for name in tie)} for e in self.found.effects]
+        return any(frozenset(names) in self.wanted for names in product(*each))
 
 
 def _with_rivals(name: str, ties: Sequence[Sequence[str]]) -> str:

@@ -24,12 +24,13 @@ def check(
     debug: DebugOption = False,
 ) -> int:
     """Say which points of the FMI standard and of good conduct an FMU breaks."""
-    from bristle.common.output import check_not_replaced, replace_each, to_json
+    from bristle.common.output import check_files_writable, check_not_replaced, replace_each, to_json
     from bristle.fmus import conformance
 
     files = [file for file in (json, junit, sarif) if file is not None]
     for file in files:
         check_not_replaced(file.parent, [file.name], [fmu])
+    check_files_writable(files)
     with fraction("check") as tell:
         results = conformance.conformance(fmu, tell)
     failed = (conformance.Verdict.failed, conformance.Verdict.not_tested)

@@ -26,6 +26,8 @@ def report(
     with output_folder(out):
         content = {"report.html": render(runs).encode(), "report.json": to_json(summary(runs)).encode()}
         replace_files(out, content, list(content))
+    for line in runs.unfinished:
+        print(line)
     share = runs.share()
     print(f"{share.count} of {share.total} runs pass  {out / 'report.html'}", flush=True)
     return PASS

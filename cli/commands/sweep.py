@@ -71,7 +71,7 @@ def sweep(
     from bristle.harness.sweep import Means, prepare_sweep, run_sweep
     from bristle.harness.values import seeds_of
 
-    asked = design(vary or (), seeds_of(seeds) if seeds else (), samples, sampling.value, sampling_seed)
+    asked = design(vary or (), () if seeds is None else seeds_of(seeds), samples, sampling.value, sampling_seed)
     store = Store(out)
     try:
         options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)

@@ -54,7 +54,7 @@ def suite(
     debug: DebugOption = False,
 ) -> int:
     """Run scenarios with all seeds and values; FOLDER/index.html links to the report of each run."""
-    from bristle.common.output import output_folder, replace_each, replace_files, to_json
+    from bristle.common.output import check_files_writable, output_folder, replace_each, replace_files, to_json
     from bristle.common.provenance import provenance
     from bristle.harness.run import Options
     from bristle.harness.suite import find_cases, run_suite
@@ -62,7 +62,8 @@ def suite(
     from bristle.harness.suite_report import render, to_tree
     from bristle.harness.values import seeds_of, values_of
 
-    cases = find_cases(scenarios, seeds_of(seeds) if seeds else (), [values_of(each) for each in vary or ()], set_ or ())
+    cases = find_cases(scenarios, () if seeds is None else seeds_of(seeds), [values_of(each) for each in vary or ()], set_ or ())
+    check_files_writable(file for file in (junit, json) if file is not None)
     options = Options(int(fmi.value), kind.value, tuple(set_ or ()), timeout=timeout)
     with output_folder(out):
         try:
@@ -75,9 +76,9 @@ def suite(
         tree = to_json(to_tree(tested, origin)).encode()
         content = {"suite.json": tree, "index.html": render(tested, origin).encode()}
         replace_files(out, content, list(content))
-        reports = {json: tree, junit: to_junit(tested)}
-        replace_each({path: text for path, text in reports.items() if path is not None})
     _print(tested, quiet, out)
+    reports = {json: tree, junit: to_junit(tested)}
+    replace_each({path: text for path, text in reports.items() if path is not None})
     verdicts = {each.verdict for each in tested}
     return ERROR if "error" in verdicts else FAIL if "fail" in verdicts else PASS
 

@@ -33,6 +33,10 @@ class Estimate:
     ci95: tuple[float, float] | None
     at_bound: bool = False
 
+    def known_within(self, share: float) -> bool:
+        """True if half its interval is less than this share of its value, and it is at no end of what it may be."""
+        return self.ci95 is not None and not self.at_bound and self.ci95[1] - self.ci95[0] < 2 * share * abs(self.value)
+
 
 def covariance(fit: Fit) -> Array:
     """Return the covariance of the free parameters (free, free), on the scale each moves on.

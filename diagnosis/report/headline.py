@@ -33,9 +33,15 @@ def mark(diagnosis: Diagnosis) -> tuple[str, str]:
 
 
 def _not_enough(diagnosis: Diagnosis) -> bool:
-    """Whether much is unexplained, or whole records are farther from the model with the named effects than without."""
+    """Whether much is unexplained, or what was found is in doubt.
+
+    That is where whole records are farther from the model with the named effects than without, where the strength of one of these is
+    not known, and where the records do not agree on the parameters.
+    """
     whole = diagnosis.whole
-    return diagnosis.remains.flag or (bool(diagnosis.effects) and whole is not None and whole.worse)
+    worse = bool(diagnosis.effects) and whole is not None and whole.worse
+    apart = diagnosis.agreement is not None and not diagnosis.agreement.holds
+    return diagnosis.remains.flag or worse or apart or not all(e.known for e in diagnosis.effects)
 
 
 def _lacking(diagnosis: Diagnosis) -> str:

@@ -16,8 +16,10 @@ from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.localisation.unnamed_torque import Curve
 from bristle.diagnosis.localisation.views import View as View
 from bristle.diagnosis.modelfile import Model
+from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
+STRENGTH_HALF_WIDTH = 0.5  # half the interval of the strength of an effect over its value, which must be less
 EXPERIMENT_FILE = "experiment.csv"  # holds the input of a record that would tell rivals apart
 
 
@@ -30,6 +32,12 @@ class Named:
     parameters: dict[str, Estimate]
     gain: float
     p: float
+
+    @property
+    def known(self) -> bool:
+        """True if its strength, the first parameter, is known; otherwise it may stand in for something else."""
+        strength = self.parameters.get(find_effect(self.name).parameters[0].name.split(".")[1])
+        return strength is None or strength.known_within(STRENGTH_HALF_WIDTH)
 
 
 @dataclass(frozen=True)
@@ -178,6 +186,29 @@ class WholeRecords:
         return self.refitted_to > 0
 
 
+HALVES = ("the first half", "the second half")  # parts of a single record
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether the records agree on the parameters; `gain` of the log-likelihood with parameters of its own for each [nats].
+
+    `values`: by the parameters' names, of each record, or of each half of a single one (SI); `differs`: the parameter that differs
+    most beside its uncertainty, or an empty text.
+    """
+
+    gain: float
+    level: float  # gain up to which they agree [nats]
+    values: dict[str, dict[str, float]]
+    units: dict[str, str]
+    differs: str
+
+    @property
+    def holds(self) -> bool:
+        """True if they agree."""
+        return self.gain <= self.level
+
+
 @dataclass(frozen=True)
 class DesignedInput:
     """The input of a record that would tell rivals apart; where none does, `time` and `u` are empty and `gain` is the best.
@@ -254,6 +285,8 @@ class Diagnosis:
         Errors of whole records in open loop, before and after; None if nothing was searched.
     unnamed : UnnamedTorque or None
         What is left unexplained as a function of one variable or two; None where nothing much is left.
+    agreement : Agreement or None
+        Whether the records agree on the parameters; None where that was not tried.
     """
 
     verdict: str
@@ -279,6 +312,7 @@ class Diagnosis:
     whole: WholeRecords | None = None
     unnamed: UnnamedTorque | None = None
     designed: DesignedInput | None = None
+    agreement: Agreement | None = None
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, the answer in sentences, and a table of the effects."""
@@ -315,6 +349,7 @@ class Diagnosis:
                 ],
                 "remains": asdict(self.remains),
                 "unnamed_torque": _unnamed(self.unnamed) if self.unnamed else None,
+                "agreement": {"holds": self.agreement.holds, **asdict(self.agreement)} if self.agreement else None,
                 "gap": {"before": self.gap.before, "after": self.gap.after, "noise_floor": self.gap.noise_floor,
                         "ratio": self.gap.ratio, "shrink": self.gap.shrink, "unit": self.gap.unit},
                 "excitation": self.excitation,

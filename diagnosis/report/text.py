@@ -9,7 +9,16 @@ from dataclasses import dataclass
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
-from bristle.diagnosis.report.result import Estimate, Gap, Named, UnnamedTorque, WholeRecords
+from bristle.diagnosis.report.result import (
+    HALVES,
+    STRENGTH_HALF_WIDTH,
+    Agreement,
+    Estimate,
+    Gap,
+    Named,
+    UnnamedTorque,
+    WholeRecords,
+)
 from bristle.diagnosis.selection.detection_limit import Undetected
 from bristle.plant.effects import effect as find_effect
 from bristle.plant.effects import effects as all_effects
@@ -144,6 +153,7 @@ def statement(facts: Facts) -> tuple[str, ...]:
         _error(facts),
         *([unexplained_line(left, facts.wording, bool(facts.ties and not facts.effects))] if left.flag else ()),
         *_at_bounds(facts.parameters or {}),
+        *_unknown(facts),
     )
 
 
@@ -227,6 +237,23 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
     return f"Unexplained residual: {said}, {end}."
 
 
+def disagreement_line(found: Agreement) -> str:
+    """Return a line on records that do not agree on the parameters."""
+    values = found.values.get(found.differs, {})
+    parts = list(next(iter(found.values.values()), {}))
+    line = f"The records do not agree: with parameters of its own for each they are {found.gain:.0f} nats likelier"
+    if parts == list(HALVES):
+        line = (
+            f"The record does not agree with itself: with parameters of its own for each half it is {found.gain:.0f} nats likelier"
+        )
+    line += f", and chance gives {found.level:.0f} at most."
+    if values:
+        unit = "" if found.units[found.differs] == "1" else f" {found.units[found.differs]}"
+        low, high = (pick(values, key=lambda part: values[part]) for pick in (min, max))
+        line += f" Most differs {found.differs}: {values[low]:.4g}{unit} in {low}, {values[high]:.4g}{unit} in {high}."
+    return f"{line} Either something was changed between them, or the model is wrong where the motion is another."
+
+
 def unnamed_line(found: UnnamedTorque, wording: Wording) -> str:
     """Return a line on the unexplained residual as a smooth function."""
     if not found.offered:
@@ -249,6 +276,14 @@ def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:
     if others := [name for name in stuck if name not in own]:
         limit = "ends at the limit of its interval: that is a limit, not an estimate"
         yield f"{', '.join(others)} {limit}; the effect may stand in for another one."
+
+
+def _unknown(facts: Facts) -> Iterator[str]:
+    """Give a line on the named effects whose strength is not known."""
+    if unknown := [e.name for e in facts.effects if not e.known]:
+        of, it = effects_listed(unknown, "or", facts.wording), "it" if len(unknown) == 1 else "each"
+        within = f"{100 * STRENGTH_HALF_WIDTH:.0f} %"
+        yield f"The strength of {of} is not known to within {within}: {it} may stand in for something else."
 
 
 def experiment(facts: Facts) -> str:

@@ -193,12 +193,17 @@ def _is_close(best: Candidate, other: Candidate) -> bool:
 
 
 def is_tied(best: Candidate, other: Candidate, plain: Fit, uniform: bool) -> bool:
-    """True if the records do not distinguish two candidates; in `uniform` motion every strong one is tied."""
+    """True if the records do not distinguish two candidates; in `uniform` motion every strong one is tied.
+
+    Within a class, where a tie costs no name, the likelihoods are told apart only beyond their standard error.
+    """
     assert best.fit is not None
     assert other.fit is not None
     if uniform and best.fit.total - other.fit.total < (1 - RIVAL_SHARE) * best.gain_over(plain):
         return True
-    return other.size <= best.size and likelihood_difference(best, other)[0] < TIE_NATS
+    deficit, error = likelihood_difference(best, other)
+    same = group(other.name) == group(best.name)
+    return other.size <= best.size and deficit < max(TIE_NATS, SIMPLER_ERRORS * error if same else 0.0)
 
 
 def group(name: str) -> str:

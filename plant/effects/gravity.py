@@ -32,7 +32,7 @@ EFFECT = Effect(
     "a mass out of balance",
     "spong2006",
     title="gravity on an unbalanced mass",
-    group="gravity",
+    group="gravity/return_spring",
     equation="T = -A (sin(theta + phi) + s2 sin(2 theta) + c2 cos(2 theta))",
     residual=("theta",),
     excitation="more than half a turn",

@@ -35,19 +35,23 @@ EFFECT = Effect(
     "a spring that pulls back to a position",
     "spong2006",
     title="return spring",
-    group="return_spring",
+    group="gravity/return_spring",
     equation="T = -k (theta - theta0)",
     residual=("theta",),
     excitation="motion over the whole range, in which a spring and gravity differ",
     confounded=("gravity", "hard_stop", "bias"),
     parameters=(
         Parameter("return_spring.stiffness", "k", "N.m/rad", 0.02, 0.0, 1e9, "stiffness", "spong2006 chapter 6"),
-        Parameter("return_spring.rest", "theta0", "rad", 0.0, -1e6, 1e6, "position at which it does not pull", "spong2006 chapter 6"),
+        Parameter(
+            "return_spring.rest", "theta0", "rad", 0.0, -1e6, 1e6, "position at which it does not pull", "spong2006 chapter 6"
+        ),
     ),
     load_side=True,
     torque=torque,
     without_truth=("load",),
     off={"stiffness": 0.0},
+    separation="move it by more than half a turn: a spring pulls the harder the farther it is moved, a weight most where its arm "
+    "is level",
     limits=limits,
     starts=starts,
 )

@@ -24,7 +24,7 @@ def test_what_was_refused_and_whether_it_was_missing() -> None:
     last = {"added": None, "rejected": "bias", "candidates": [leader]}
     last |= {"gain": 30.0, "null_level": 10.0, "size": 1.1}
     result = {"verdict": "named", "effects": [{"name": "gravity"}], "rounds": [{"gain": 60.0}, last]}
-    alone, both = ({"group": "pair", "effects": [{"class": c} for c in classes]} for classes in (ALONE, BOTH))
+    alone, both = ({"group": "pair", "effects": [{"name": c} for c in classes]} for classes in (ALONE, BOTH))
     short, outside = result | {"rounds": [{"gain": 60.0}]}, {"group": "outside", "effects": []}
     pairs = [(both, result), (alone, result), (alone, short), (outside, result)]
     assert list(refused(pairs)) == [(True, (3.0, 0.5, 1.1, 4.0)), (False, (3.0, 0.5, 1.1, 4.0))]
@@ -36,7 +36,7 @@ def test_what_was_named_without_a_flag_and_what_its_views_show() -> None:
     wrong, chance, flagged = ({**right, **more} for more in (
         {"effects": [{"name": "bias"}]}, {"remains": left | {"view": None}}, {"remains": left | {"flag": True}},
     ))  # fmt: skip
-    alone, outside = {"group": "same", "effects": [{"class": "gravity"}]}, {"group": "outside", "effects": []}
+    alone, outside = {"group": "same", "effects": [{"name": "gravity"}]}, {"group": "outside", "effects": []}
     pairs = [(alone, right), (alone, wrong), (alone, chance), (alone, flagged), (outside, right), (outside, flagged)]
     pairs.append((alone | {"group": "poor"}, right))  # flags are asked about where the excitation is rich
     assert list(unflagged(pairs)) == [(False, (0.4, 0.1)), (False, (0.0, 0.0)), (True, (0.4, 0.1))]
@@ -45,7 +45,7 @@ def test_what_was_named_without_a_flag_and_what_its_views_show() -> None:
 
 def case(classes, named, rejected="hard_stop", **more):
     """Return a case of the given truth whose last round tried a stop (30 nats), a bias (20 nats) and no dead zone."""
-    answer = {"group": "pair", "effects": [{"class": c, "form": "other"} for c in classes]}
+    answer = {"group": "pair", "effects": [{"name": c, "form": "other"} for c in classes]}
     tried = [{"name": "hard_stop", "gain": 30.0, "level": 10.0}, {"name": "bias", "gain": 20.0, "level": 10.0}]
     tried.append({"name": "dead_zone", "gain": None, "level": 10.0})
     last = {"added": None, "rejected": rejected, "candidates": tried}

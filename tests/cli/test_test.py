@@ -49,6 +49,22 @@ def test_all_mistakes_are_said_before_anything_runs(call, tmp_path):
         assert len(err.strip().splitlines()) == 1
 
 
+def test_a_file_of_verdicts_that_cannot_be_written_is_told_before_anything_runs(call, tmp_path):
+    good = tmp_path / "good.toml"
+    good.write_text(SCENARIO.replace("LIMIT", "1e9"), encoding="utf-8")
+    for option in ("--junit", "--json"):
+        code, text, err = call("test", good, "--out", tmp_path / "out", option, tmp_path)
+        assert (code, text) == (2, "")
+        assert err.strip() == f"bristle: {tmp_path}: Is a directory; give a file that can be written"
+    code, text, err = call("test", good, "--seeds", "", "--out", tmp_path / "out")
+    assert code == 2
+    assert "'' is neither a seed nor a range" in err
+    assert not (tmp_path / "out").exists()
+    code, text, _ = call("test", good, "-j", "1", "--out", tmp_path / "out", "--junit", tmp_path / "new" / "folder" / "j.xml")
+    assert code == 0
+    assert "good" in (tmp_path / "new" / "folder" / "j.xml").read_text(encoding="utf-8")
+
+
 def test_files_that_are_left_out_of_a_folder_are_named(call, tmp_path):
     text = SCENARIO.replace("LIMIT", "-1")
     (tmp_path / "good.toml").write_text(text, encoding="utf-8")

@@ -361,6 +361,15 @@ def test_what_is_hardly_less_likely_and_no_richer_is_tied(size, behind, uniform,
     assert is_tied(best, other, without.fit, uniform) is tied
 
 
+@pytest.mark.parametrize(("name", "uneven", "tied"), [("gravity", 2.0, True), ("gravity", 0.2, False), ("cogging", 2.0, False)])
+def test_what_is_in_one_class_is_tied_within_a_standard_error(name, uneven, tied):
+    """8 nats behind in 100 segments, of which one half is for the one and the other half for the other."""
+    best, other, without = fitted("return_spring", 6, 1.0), fitted(name, 6, 0.92), fitted("", 4, 0.0)
+    other.fit.score[:50] += uneven
+    other.fit.score[50:] -= uneven
+    assert is_tied(best, other, without.fit, uniform=False) is tied
+
+
 SHIPPED = tomllib.loads((Path(__file__).parents[1] / "shipped.toml").read_text(encoding="utf-8"))["effects"]
 FORMS = {
     "compliance": {"hardening": 3000.0}, "backlash": {"exponent": 1.5}, "stribeck": {"exponent": 1.0},

@@ -130,7 +130,16 @@ def test_a_correction_a_sample_late_is_seen(tmp_path):
 
 def test_these_effects_can_act_through_the_input():
     maps = {"back_emf", "dead_zone", "electrical_pole", "gain_asymmetry", "input_delay", "saturation"}
-    torques = {"asymmetric_viscous", "bias", "cogging", "disturbance_step", "gravity", "hard_stop", "quadratic_drag", "return_spring"}
+    torques = {
+        "asymmetric_viscous",
+        "bias",
+        "cogging",
+        "disturbance_step",
+        "gravity",
+        "hard_stop",
+        "quadratic_drag",
+        "return_spring",
+    }
     assert set(POSSIBLE) == maps | torques
 
 

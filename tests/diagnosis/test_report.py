@@ -196,6 +196,24 @@ def test_a_model_that_is_worse_over_whole_records_is_not_enough(answer):
     assert "worse" not in open_loop_line(better, 0.4)
 
 
+def test_an_effect_whose_strength_is_not_known_is_not_enough(answer):
+    named = answer("named")
+    [effect, *_] = named.effects
+    strength = effect.parameters["amplitude"]
+    wide = replace(strength, ci95=(0.4 * strength.value, 1.5 * strength.value))
+    unknown = replace(effect, parameters={**effect.parameters, "amplitude": wide})
+    assert mark(named)[0] == "good"
+    assert mark(replace(named, effects=(unknown,)))[0] == "open"
+    assert headline(replace(named, effects=(unknown,))).startswith(NOT_ENOUGH)
+    line = "The strength of cogging torque (cogging) is not known to within 50 %: it may stand in for something else."
+    assert line in statement(Facts("named", named.gap, named.remains, (unknown,)))
+    assert line not in statement(Facts("named", named.gap, named.remains, (effect,)))
+    place = replace(effect, parameters={**effect.parameters, "phase": replace(wide, value=0.1, ci95=(-0.5, 0.7))})
+    assert mark(replace(named, effects=(place,)))[0] == "good"  # a phase is no strength
+    stuck = replace(effect, parameters={**effect.parameters, "amplitude": replace(strength, at_bound=True)})
+    assert mark(replace(named, effects=(stuck,)))[0] == "open"
+
+
 def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):
     tie, left = answer("tie"), Unexplained(True, "theta", 0.54)
     without = "Unexplained residual: 54 % of the residual can be predicted from position, with none of the tied effects added."

@@ -20,6 +20,7 @@ from bristle.harness.baseline import (
     Baseline,
     Judged,
     make_baseline,
+    read_json,
     measured_quantities,
     quantities_of,
     read_baseline,
@@ -525,3 +526,8 @@ def test_what_is_no_reference_and_no_result_is_refused_in_one_line(
     (other / "result.json").write_text("{}", encoding="utf-8")
     assert "is no result of bristle run" in message(lambda: compare_folders(other, full))
     assert "is no baseline of bristle" in message(lambda: write_baseline(full.parent, full.name, accepted[1], ""))
+
+
+def test_json_with_too_many_brackets_is_no_baseline(tmp_path: Path, message: Message) -> None:
+    (tmp_path / "result.json").write_text('{"a":' + 100_000 * "[", encoding="utf-8")
+    assert message(lambda: read_json(tmp_path / "result.json")).startswith(f"{tmp_path / 'result.json'}: no JSON (")

@@ -44,6 +44,8 @@ MISTAKES = [
     ("sensor", 'step = "1 ms"', 'sensor = "radar"', ["sensor", "radar", "clean", "encoder"]),
     ("no checks", '[[checks]]\nquantity = "estimates.b.error_percent"\nmax_abs = 1e6', "", ["checks", "missing"]),
     ("check without limit", "max_abs = 1e6", "", ["checks[0]", "no limit"]),
+    ("check that nothing meets", "max_abs = 1e6", "min = 3.0\nmax = 1.0", ["checks[0]", "no number is at least 3 and at most 1"]),
+    ("check beyond its range", "max_abs = 1e6", "max_abs = 2.0\nmax = -3.0", ["no number is at least -2 and at most -3"]),
     ("check with text", "max_abs = 1e6", 'max_abs = "small"', ["checks[0].max_abs", "small", "number"]),
     ("not TOML", "[plant]", "[plant", ["not valid TOML", "line"]),
     ("stimulus", "[[checks]]", '[[stimuli]]\nvariable = "load"\npoints = [["0 s", 1.0]]\n[[checks]]',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,21 @@ def test_a_damaged_file_costs_its_own_runs_only(store: Store, damage: str) -> No
     victim.write_bytes({"cut": content[: len(content) // 2], "empty": b""}.get(damage, bytes(content)))
     assert set(store.done()) == {"0", "1"}
     assert store.table()["run"].to_pylist() == [0, 1]
+
+
+def test_a_page_that_is_not_what_was_written_is_refused(store: Store, message: Message) -> None:
+    """A number that has changed is still a number: only the checksum of its page tells."""
+    pytest.importorskip("duckdb")
+    store.add([row("9", error=123.456)])
+    victim = next(path for path in store.files() if b"9" in path.read_bytes() and pq.read_table(path)["run"].to_pylist() == [9])
+    content = bytearray(victim.read_bytes())
+    place = content.index(struct.pack("<d", 123.456))
+    content[place] ^= 1
+    victim.write_bytes(bytes(content))
+    assert pq.read_table(victim)["error"].to_pylist() != [123.456]  # readable, and wrong
+    assert "resume the sweep, which repairs it" in message(store.table)
+    assert "query: " in message(lambda: store.query("SELECT sum(error) FROM runs"))
+    assert set(store.done()) == {"0", "1", "2"}
 
 
 def test_a_full_disk_leaves_what_was_there(store: Store, monkeypatch: pytest.MonkeyPatch, message: Message) -> None:

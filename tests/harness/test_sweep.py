@@ -212,9 +212,17 @@ if __name__ == "__main__":
         killer = threading.Thread(target=kill)
         killer.start()
         print("DONE", run_sweep(sweep, asked, store, Means(1, cluster.scheduler_address)).verdicts["pass"], killer.is_alive())
+        class Full(Store):
+            def add(self, rows):
+                raise OSError("no room for a chunk")
+        try:
+            run_sweep(sweep, asked, Full(Path({str(tmp_path / "full")!r})), Means(1, cluster.scheduler_address))
+        except OSError as error:
+            print("SAID", error)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=240)
     assert "DONE 64 False" in done.stdout, done.stderr[-3000:]
+    assert "SAID no room for a chunk" in done.stdout, done.stderr[-3000:]
     assert table(Store(tmp_path / "local")).equals(table(Store(tmp_path / "cluster")))
 
 
@@ -290,6 +298,28 @@ def test_the_report_counts_covers_and_links(path: Path, tmp_path: Path) -> None:
     coverage = next(each for each in statistics(runs) if each["parameter"] == "b")["coverage"]
     assert (coverage.count, coverage.total) == (sum(by_hand), len(by_hand))
     assert len(by_hand) > 10
+
+
+def test_a_sweep_that_is_not_finished_says_so(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, add = design([VARY[0]], samples=6), Store.add
+
+    def interrupted(self: Store, rows: Any) -> None:
+        add(self, rows)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Store, "add", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        swept(path, tmp_path / "store", asked)
+    monkeypatch.undo()
+    runs = Runs(Store(tmp_path / "store"))
+    [line] = runs.unfinished
+    assert "of 6 runs" in line
+    assert f"the store has {len(runs)} runs; resume it" in line
+    assert summary(runs)["unfinished"] == [line]
+    assert "is not finished" in render(runs)
+    runs = Runs(swept(path, tmp_path / "store", asked, resume=True)[0])
+    assert (len(runs), runs.unfinished) == (6, [])
+    assert "not finished" not in render(runs)
 
 
 def test_runs_at_one_place_of_a_map_are_one_point(path: Path, tmp_path: Path) -> None:

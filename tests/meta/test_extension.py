@@ -194,7 +194,7 @@ MISTAKES = [
     (LAW, '    "lorentzian",', '    "Lorentz law",', "name 'Lorentz law': write lower-case letters"),
     (LAW, "LAW =", "OTHER =", "no LAW that is a FrictionLaw"),
     (LAW, "LAW =", "LAW = 3\nOTHER =", "no LAW that is a FrictionLaw"),
-    (EFFECT, 'off={"coefficient"', 'off={"coeficient"', "off: 'coeficient' is no parameter of the effect (did you mean 'coefficient'?)"),
+    (EFFECT, 'off={"coefficient"', 'off={"coefficent"', "off: 'coefficent' is no parameter of the effect (did you mean"),
     (EFFECT, "    load_side", '    periods="turns",\n    load_side', "periods or free_play: 'turns' is no parameter"),
     (EFFECT, '    "cubic_damper",', '    "cubic-damper",', "name 'cubic-damper': write lower-case letters"),
     (EFFECT, '"v",)', '"velocity",)', "residual: 'velocity' is no view"),

@@ -29,7 +29,7 @@ SHIPPED, SHIPPED_LAWS = tuple(LISTS["effects"]), tuple(LISTS["laws"])
 NAMES = tuple(effects())  # and extensions, which owe no more than what the tests of all names ask for
 GROUPS = (
     {"bias", "asymmetric_coulomb"}, {"input_delay", "electrical_pole"}, {"presliding", "bristle_damping"},
-    {"load_friction", "gear_loss"},
+    {"load_friction", "gear_loss"}, {"gravity", "return_spring"},
 )  # fmt: skip
 # the parameter whose derivative is tested: the first one, but for these
 STRENGTH = {"bristle_damping": "damping", "backlash": "stiffness", "compliance": "stiffness"}
