@@ -136,7 +136,8 @@ def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
     floor_unknown = left.flag or (left.view is not None and left.share > UNEXPLAINED_SHARE)
     return Conclusion(
         "not_identifiable" if proposal else verdict, final, whole, rounds, comparison, left,
-        known_floor(comparison.gap, floor_unknown), _named(rounds, named, parameters), () if proposal else _ties(rounds), undecided, base, parameters, unidentified,
+        known_floor(comparison.gap, floor_unknown), _named(rounds, named, parameters), () if proposal else _ties(rounds),
+        undecided, base, parameters, unidentified,
         {} if proposal else {c.name: estimates(case.model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit},
         proposal,
     )  # fmt: skip

@@ -35,8 +35,8 @@ def mark(diagnosis: Diagnosis) -> tuple[str, str]:
 def _not_enough(diagnosis: Diagnosis) -> bool:
     """Whether much is unexplained, or what was found is in doubt.
 
-    That is where whole records are farther from the model with the named effects than without, where the strength of one of these is
-    not known, and where the records do not agree on the parameters.
+    That is where whole records are farther from the model with the named effects than without, where the strength of one of these
+    is not known, and where the records do not agree on the parameters.
     """
     whole = diagnosis.whole
     worse = bool(diagnosis.effects) and whole is not None and whole.worse

@@ -20,10 +20,10 @@ from bristle.harness.baseline import (
     Baseline,
     Judged,
     make_baseline,
-    read_json,
     measured_quantities,
     quantities_of,
     read_baseline,
+    read_json,
     write_baseline,
 )
 from bristle.harness.comparison import (
