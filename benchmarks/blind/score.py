@@ -19,6 +19,7 @@ from shared import upper_bound
 
 Json = dict[str, Any]
 SLACK = 1e-9
+UNKNOWN = 0.5  # half an interval over the value from which on the report calls the strength of an effect not known
 SINGLE = ("same", "other", "low", "faint")  # groups of one effect each, with rich excitation
 OUTCOMES = ("right", "wrong", "in part", "tie with truth", "tie without", "none", "not_identifiable", "error")
 BINS = ((0.0, 1.3), (1.3, 1.6), (1.6, 2.0), (2.0, 4.0), (4.0, 10.0), (10.0, math.inf))
@@ -27,6 +28,14 @@ BINS = ((0.0, 1.3), (1.3, 1.6), (1.6, 2.0), (2.0, 4.0), (4.0, 10.0), (10.0, math
 def lower_bound(count: int, n: int) -> float:
     """Return the one-sided 95 % lower bound of a share."""
     return 1 - upper_bound(n - count, n) if n else 0.0
+
+
+def _half_width(effect: Json) -> float:
+    """Return half the interval of an effect's strength over its value; infinite where it is at a bound."""
+    strength = next(iter(effect["parameters"].values()), {})
+    if strength.get("at_bound") or strength.get("ci95") is None or not strength["value"]:
+        return math.inf
+    return float((strength["ci95"][1] - strength["ci95"][0]) / 2 / abs(strength["value"]))
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,16 @@ class Judged:
     def flagged(self) -> bool:
         """Whether an unexplained residual is reported."""
         return bool((self.result.get("remains") or {}).get("flag"))
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the report's heading is not green, by what the result says: a flag, records that do not agree, a strength that is
+        not known, or whole records that are farther from the model than before."""
+        agreement = self.result.get("agreement") or {"holds": True}
+        horizons = (self.result.get("whole_record") or {}).get("horizons") or []
+        worse = bool(horizons) and (horizons[-1]["after"] or math.inf) > (horizons[-1]["before"] or math.inf)
+        unknown = any(_half_width(effect) >= UNKNOWN for effect in self.result["effects"])
+        return self.flagged or not agreement["holds"] or unknown or worse
 
     @property
     def right(self) -> bool:
@@ -258,6 +277,8 @@ def _naming(cases: list[Judged]) -> list[Figure]:
         _at_least("named right, ratio < 1.3", (c.right for c in of["faint"]), None),
         _at_most("a wrong class among all that were named", (bool(c.extra) for c in named), 1, 450),
         _at_least("strictly right by name, ratio >= 2", (c.strict for c in of["same"] + of["other"]), None),
+        _at_most("in doubt (no green heading) although named right", (c.doubted for c in clear if c.right), None),
+        _at_most("a wrong name, and no doubt said", (bool(c.extra) and not c.doubted for c in cases if c.named), None),
     ]
 
 

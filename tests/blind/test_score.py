@@ -189,3 +189,20 @@ def test_a_changed_answer_breaks_the_seal(tmp_path: Path) -> None:
     (folder / "00001.json").write_text("[]", encoding="utf-8")
     with pytest.raises(SystemExit, match=r"does not match answers\.sha256"):
         check_seal(tmp_path)
+
+
+def test_a_name_is_in_doubt_by_each_of_four_signs() -> None:
+    sure = result("named", GRAVITY | {"parameters": {"amplitude": 0.3}})
+    assert not Judged(answer("same", GRAVITY), sure).doubted
+    assert Judged(answer("same", GRAVITY), sure | {"remains": {"flag": True}}).doubted
+    assert Judged(answer("same", GRAVITY), sure | {"agreement": {"holds": False}}).doubted
+    assert not Judged(answer("same", GRAVITY), sure | {"agreement": {"holds": True}}).doubted
+    for after, doubted in ((2.0, True), (0.5, False), (None, True)):
+        horizons = {"horizons": [{"before": 1.0, "after": after}]}
+        assert Judged(answer("same", GRAVITY), sure | {"whole_record": horizons}).doubted is doubted
+    weak = result("named", GRAVITY | {"parameters": {"amplitude": 0.19, "phase": 0.0}})
+    assert Judged(answer("same", GRAVITY), weak).doubted  # 0.19 +- 0.1
+    found = {f.name: f for f in figures([Judged(answer("same", GRAVITY), r) for r in (sure, weak)])}
+    assert found["in doubt (no green heading) although named right"].count == 1
+    found = {f.name: f for f in figures([Judged(answer("same", COGGING), r) for r in (sure, weak)])}
+    assert found["a wrong name, and no doubt said"].count == 1
