@@ -12,11 +12,11 @@ from bristle.common.table import Array
 from bristle.diagnosis.conclusion import Case, Conclusion
 from bristle.diagnosis.estimation.dataset import Mask, Segments
 from bristle.diagnosis.estimation.likelihood import Fit
-from bristle.diagnosis.estimation.optimiser import resume
+from bristle.diagnosis.estimation.optimiser import predicted_gain, resume
 from bristle.diagnosis.estimation.simulator import OWN_BRISTLES
 from bristle.diagnosis.estimation.uncertainty import covariance
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.report.text import disagreement_line
+from bristle.diagnosis.report.text import disagreement_advice, disagreement_line
 
 CHANCE = 1e-3  # probability that records which agree gain more than the level
 LEVEL_FACTOR = 4.0  # times the gain that chance gives under the noise model, which is not exact
@@ -39,20 +39,30 @@ def agreement(case: Case, found: Conclusion) -> answer.Agreement | None:
     gain = sum(float((fit.score - found.fit.score)[mask].sum()) for fit, mask in zip(fits, parts.values(), strict=True))
     freedom = len(found.fit.free) * (len(parts) - 1)
     level = LEVEL_FACTOR * 0.5 * float(chi2.isf(CHANCE, freedom))
+    if gain <= level < gain + sum(map(predicted_gain, fits)):
+        return None  # the refits ended on the way, as those of contacts may
+    shown = [k for k, f in enumerate(found.fit.free) if not f.name.startswith(f"{OWN_BRISTLES}.")]
+    known = np.array([np.diag(fit.information)[shown] > 0 for fit in fits])
+    names = [found.fit.free[k].name for k in shown]
     own = {
-        f.name: {part: float(fit.values[f.name]) for part, fit in zip(parts, fits, strict=True)}
-        for f in found.fit.free
-        if not f.name.startswith(f"{OWN_BRISTLES}.")
+        name: {part: float(fit.values[name]) if seen else None for part, fit, seen in zip(parts, fits, column, strict=True)}
+        for name, column in zip(names, known.T, strict=True)
     }
     units = {name: case.model.unit(name) for name in own}
-    return answer.Agreement(max(gain, 0.0), level, own, units, _most_different(fits, list(own)))
+    return answer.Agreement(max(gain, 0.0), level, own, units, _most_different(fits, known, shown))
 
 
-def with_agreement(diagnosis: answer.Diagnosis, found: answer.Agreement | None) -> answer.Diagnosis:
-    """Return a diagnosis that says where the records do not agree."""
-    if found is None or found.holds:
-        return replace(diagnosis, agreement=found)
-    return replace(diagnosis, agreement=found, statement=(*diagnosis.statement, disagreement_line(found)))
+def without_floor(found: Conclusion, agrees: answer.Agreement | None) -> Conclusion:
+    """Return a conclusion without a noise floor where the records do not agree: what differs between them is in it."""
+    return found if agrees is None or agrees.holds else replace(found, gap=replace(found.gap, noise_floor=None))
+
+
+def with_agreement(diagnosis: answer.Diagnosis, agrees: answer.Agreement | None) -> answer.Diagnosis:
+    """Return a diagnosis that says first where the records do not agree, and what to do then."""
+    if agrees is None or agrees.holds:
+        return replace(diagnosis, agreement=agrees)
+    what = " ".join(filter(None, (disagreement_advice(agrees), diagnosis.experiment)))
+    return replace(diagnosis, agreement=agrees, statement=(disagreement_line(agrees), *diagnosis.statement), experiment=what)
 
 
 def _parts(segments: Segments) -> Iterator[tuple[str, Mask]]:
@@ -67,19 +77,23 @@ def _parts(segments: Segments) -> Iterator[tuple[str, Mask]]:
         yield name, segments.counted & (places >= begin) & (places < end)
 
 
-def _most_different(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return the parameter that differs most between fits, beside its standard deviations; an empty text where none is known."""
+def _most_different(fits: Sequence[Fit], known: Mask, shown: Sequence[int]) -> str:
+    """Return the parameter that differs most between fits, beside its standard deviations; an empty text where none does.
+
+    `known` (fits, parameters): whether a part of the data says anything of a parameter; `shown`: the places of the parameters.
+    """
     free = fits[0].free
-    values = np.array([[f.scaled(fit.values[f.name]) for f in free] for fit in fits])
-    variances = np.array([np.diag(covariance(fit)) for fit in fits])
-    apart = {f.name: _spread(x, v) for f, x, v in zip(free, values.T, variances.T, strict=True) if f.name in names}
-    most = max(apart, key=lambda name: apart[name], default="")
-    return most if most and apart[most] > 0 else ""
+    variances = np.array([np.diag(covariance(fit))[shown] for fit in fits])
+    values = np.array([[free[k].scaled(fit.values[free[k].name]) for k in shown] for fit in fits])
+    usable = known & np.isfinite(variances) & (variances > 0)
+    apart = [_spread(x[use], v[use]) for x, v, use in zip(values.T, variances.T, usable.T, strict=True)]
+    most = int(np.argmax(apart)) if apart else 0
+    return free[shown[most]].name if apart and apart[most] > 0 else ""
 
 
 def _spread(values: Array, variances: Array) -> float:
-    """Return the weighted sum of squares of values around their mean; 0 where some variance is not known."""
-    if not (np.isfinite(variances).all() and (variances > 0).all()):
+    """Return the weighted sum of squares of values around their mean; 0 of less than two."""
+    if len(values) < 2:
         return 0.0
     mean = np.average(values, weights=1 / variances)
     return float(np.sum((values - mean) ** 2 / variances))

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from bristle.common.deadline import until, within
 from bristle.common.errors import BristleError
-from bristle.diagnosis.agreement import agreement, with_agreement
+from bristle.diagnosis.agreement import agreement, with_agreement, without_floor
 from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
@@ -133,7 +133,8 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         left = _cut_short(outcome, options, [what for what, was in done.items() if was is None])
         more = replace(more, findings_after=(*more.findings_after, *left))
         [unnamed], [agrees], [designed] = fill or [None], agree or [None], ask or [None]
-        said = with_agreement(with_unnamed_torque(as_diagnosis(case, refitted, whole, more), unnamed), agrees)
+        said = as_diagnosis(case, without_floor(refitted, agrees), whole, more)
+        said = with_agreement(with_unnamed_torque(said, unnamed), agrees)
         text = " ".join(filter(None, (said.experiment, designed_line(designed, case.model))))
         return replace(said, experiment=text, designed=designed, seconds=time.perf_counter() - started)
 

@@ -102,6 +102,11 @@ def overlap(spans: Iterable[tuple[float, float]]) -> bool:
     return any(later[0] <= earlier[1] for earlier, later in pairwise(sorted(spans)))
 
 
+def one_after_the_other(begin: float, seconds: Sequence[float]) -> list[float]:
+    """Return the times of the first samples of records of these lengths [s], without a gap between them, from the first on."""
+    return [float(time) for time in begin + np.cumsum([0.0, *seconds[:-1]])]
+
+
 def must_agree(records: Sequence[Record]) -> None:
     """Refuse records, made by hand maybe, whose time is not uniform or whose sampling periods differ."""
     how = "use records_from_arrays, which makes time and rate uniform"

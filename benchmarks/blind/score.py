@@ -31,11 +31,12 @@ def lower_bound(count: int, n: int) -> float:
 
 
 def _half_width(effect: Json) -> float:
-    """Return half the interval of an effect's strength over its value; infinite where it is at a bound."""
+    """Return how far the interval of an effect's strength reaches, over its value; infinite where it is at a bound."""
     strength = next(iter(effect["parameters"].values()), {})
     if strength.get("at_bound") or strength.get("ci95") is None or not strength["value"]:
         return math.inf
-    return float((strength["ci95"][1] - strength["ci95"][0]) / 2 / abs(strength["value"]))
+    (low, high), value = strength["ci95"], strength["value"]
+    return float(max(high - value, value - low) / abs(value))
 
 
 @dataclass(frozen=True)

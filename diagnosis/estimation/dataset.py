@@ -14,7 +14,7 @@ from scipy.signal import savgol_coeffs
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.noise import Noise, estimate, response
-from bristle.records.clock import overlap
+from bristle.records.clock import one_after_the_other, overlap
 
 Mask = NDArray[np.bool_]
 STATE_SMOOTHING = 0.02  # s: half-width of the parabola that gives position and velocity at the start of a segment
@@ -43,7 +43,8 @@ class Grid:
 @dataclass(frozen=True)
 class Piece:
     """One record as consecutive segments: time of the first sample [s], inputs (segments * bins * width,), measured
-    averages (segments, bins), states at the starts (segments, 2) with their standard deviations."""
+    averages (segments, bins), states at the starts (segments, 2) with their standard deviations; length of the whole record [s],
+    with what follows its last segment."""
 
     name: str
     time: float
@@ -51,6 +52,7 @@ class Piece:
     measured: Array
     initial: Array
     initial_sd: Array
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,9 @@ class Segments(Grid):
 
     def consecutive(self, order: Sequence[int]) -> tuple[float, ...]:
         """Return times of the first samples [s] with which the records, in this order, follow one another without a gap."""
-        seconds = [self.h * len(self.pieces[i].u) for i in order]
-        begins = dict(zip(order, min(self.times) + np.cumsum([0.0, *seconds[:-1]]), strict=True))
-        return tuple(float(begins[i]) for i in range(len(order)))
+        seconds = [max(self.pieces[i].seconds, self.h * len(self.pieces[i].u)) for i in order]
+        begins = dict(zip(order, one_after_the_other(min(self.times), seconds), strict=True))
+        return tuple(begins[i] for i in range(len(order)))
 
     @property
     def own_clocks(self) -> bool:
@@ -213,7 +215,7 @@ def cut(name: str, time: float, u: Array, y: Array, grid: Grid, resolution: floa
         initial = np.column_stack([level[first], v[first]])
         initial_sd = np.column_stack([np.full(n, 10 * noise), 10 * noise / (h * reach**1.5) + 0.05 * np.abs(v[first])])
     measured = y[: n * length].reshape(n, bins, width).mean(axis=2)
-    return Piece(name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd)
+    return Piece(name, time, np.ascontiguousarray(u[: n * length]), measured, initial, initial_sd, h * len(u))
 
 
 def motion(segments: Segments, outputs: list[Array], resolution: float, half: float) -> Motion:

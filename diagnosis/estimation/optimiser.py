@@ -31,6 +31,7 @@ LARGE_PREDICTED_GAIN = 10.0  # nats: with such a predicted gain a fit does not e
 FIT_DAMPING = 1e-3  # Levenberg-Marquardt damping at the start, relative to the curvature
 NONSMOOTH_TRIALS = 6  # random values tried for each parameter of a nonsmooth effect in a round
 NONSMOOTH_SPREADS = (0.2, 0.2, 0.1, 0.05)  # spread of these values, relative, one a round
+TIME_SPREAD = 5.0  # s: spread of the values of a time, over that of other parameters
 NONSMOOTH_GAIN = 5.0  # nats: least gain for which a result of these rounds is taken
 LOAD_PASSES = 6  # most alternations of the load's initial place and all parameters
 
@@ -185,11 +186,11 @@ def refit_nonsmooth(fit: Fit, noise_problem: NoiseProblem, effects: Sequence[str
     own = [f for f in nonsmooth_parameters(fit, effects) if not find_effect(f.name.split(".")[0]).free_play]
     if not own:
         return fit
-    rng = np.random.default_rng(1)
+    rng, wide = np.random.default_rng(1), np.array([TIME_SPREAD if is_time(f.name) else 1.0 for f in own])
     for spread in NONSMOOTH_SPREADS:
         problem = noise_problem(fit)
         fit = best = rescored(problem, fit)
-        for step in spread * rng.standard_normal((NONSMOOTH_TRIALS * len(own), len(own))):
+        for step in spread * wide * rng.standard_normal((NONSMOOTH_TRIALS * len(own), len(own))):
             trial = evaluate(problem, fit.at(perturbed_values(best.values, own, step), best.initial))
             best = max((best, trial), key=lambda each: each.total)
         new = max((best, rescored(problem, refit_rescored(best, noise_problem, FIT_ITERATIONS))), key=lambda each: each.total)
@@ -206,6 +207,9 @@ def perturbed_values(values: Mapping[str, float], own: Sequence[Free], step: Arr
 
 def perturbed(name: str, value: float, step: float) -> float:
     """Return the value of an effect's parameter after a step: a time moves by so many seconds, anything else by a factor."""
-    parameters = find_effect(name.split(".")[0]).parameters
-    time = any(p.name == name and p.unit == "s" and p.minimum < 0 for p in parameters)
-    return value + step if time else value * float(np.exp(step))
+    return value + step if is_time(name) else value * float(np.exp(step))
+
+
+def is_time(name: str) -> bool:
+    """True if a parameter of an effect is a moment in time."""
+    return any(p.name == name and p.unit == "s" and p.minimum < 0 for p in find_effect(name.split(".")[0]).parameters)

@@ -34,8 +34,10 @@ class Estimate:
     at_bound: bool = False
 
     def known_within(self, share: float) -> bool:
-        """True if half its interval is less than this share of its value, and it is at no end of what it may be."""
-        return self.ci95 is not None and not self.at_bound and self.ci95[1] - self.ci95[0] < 2 * share * abs(self.value)
+        """True if its interval ends less than this share of its value away, and it is at no end of what it may be."""
+        if self.ci95 is None or self.at_bound:
+            return False
+        return max(self.ci95[1] - self.value, self.value - self.ci95[0]) < share * abs(self.value)
 
 
 def covariance(fit: Fit) -> Array:

@@ -17,6 +17,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
     if not _not_enough(diagnosis):
         return _found(diagnosis)
+    if diagnosis.verdict == "none" and diagnosis.agreement is not None and not diagnosis.agreement.holds:
+        return f"{NOT_ENOUGH}: {'halves of the record' if diagnosis.agreement.of_halves else 'the records'} do not agree"
     if diagnosis.verdict == "none":
         return f"{NOT_ENOUGH}: something is missing, and no effect that was tried explains it"
     if diagnosis.verdict == "named":

@@ -19,7 +19,7 @@ from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
-STRENGTH_HALF_WIDTH = 0.5  # half the interval of the strength of an effect over its value, which must be less
+STRENGTH_HALF_WIDTH = 0.5  # from the strength of an effect to an end of its interval, over the strength, which must be less
 EXPERIMENT_FILE = "experiment.csv"  # holds the input of a record that would tell rivals apart
 
 
@@ -199,7 +199,7 @@ class Agreement:
 
     gain: float
     level: float  # gain up to which they agree [nats]
-    values: dict[str, dict[str, float]]
+    values: dict[str, dict[str, float | None]]  # None where a record says nothing of a parameter
     units: dict[str, str]
     differs: str
 
@@ -207,6 +207,11 @@ class Agreement:
     def holds(self) -> bool:
         """True if they agree."""
         return self.gain <= self.level
+
+    @property
+    def of_halves(self) -> bool:
+        """True if the halves of a single record are compared."""
+        return tuple(next(iter(self.values.values()), {})) == HALVES
 
 
 @dataclass(frozen=True)

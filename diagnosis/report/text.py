@@ -10,7 +10,6 @@ from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.result import (
-    HALVES,
     STRENGTH_HALF_WIDTH,
     Agreement,
     Estimate,
@@ -239,10 +238,9 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
 
 def disagreement_line(found: Agreement) -> str:
     """Return a line on records that do not agree on the parameters."""
-    values = found.values.get(found.differs, {})
-    parts = list(next(iter(found.values.values()), {}))
+    values = {part: value for part, value in found.values.get(found.differs, {}).items() if value is not None}
     line = f"The records do not agree: with parameters of its own for each they are {found.gain:.0f} nats likelier"
-    if parts == list(HALVES):
+    if found.of_halves:
         line = (
             f"The record does not agree with itself: with parameters of its own for each half it is {found.gain:.0f} nats likelier"
         )
@@ -252,6 +250,14 @@ def disagreement_line(found: Agreement) -> str:
         low, high = (pick(values, key=lambda part: values[part]) for pick in (min, max))
         line += f" Most differs {found.differs}: {values[low]:.4g}{unit} in {low}, {values[high]:.4g}{unit} in {high}."
     return f"{line} Either something was changed between them, or the model is wrong where the motion is another."
+
+
+def disagreement_advice(found: Agreement) -> str:
+    """Return what to do where the records do not agree."""
+    if found.of_halves:
+        return "Find out what changed during the record (temperature, load, supply)."
+    changed = "temperature, load, supply, the logger's clock"
+    return f"Find out what was changed between the records ({changed}), and diagnose them one by one."
 
 
 def unnamed_line(found: UnnamedTorque, wording: Wording) -> str:

@@ -21,6 +21,8 @@ from bristle.diagnosis.preparation import SEGMENT_SECONDS, fixed_values
 from bristle.diagnosis.report.result import Trace
 from bristle.diagnosis.whole.open_loop import OpenLoop, Records, open_loop
 from bristle.diagnosis.workflow import check_arguments
+from bristle.plant.effects import effect as find_effect
+from bristle.records.clock import one_after_the_other, overlap
 from bristle.records.record import Record
 
 Simulated = Callable[[Records, float], OpenLoop | None]  # records, and the horizon [s] after which it begins anew
@@ -111,10 +113,12 @@ def validate(model: Model, records: Sequence[Record]) -> Validation:
         If there is no record, or the model cannot be simulated.
     """
     check_arguments(model, records)
+    records, lines = _on_one_clock(model, records)
     servo = Servo(model.friction, tuple(model.effects), (), (), fixed_values(records[0].h), False)
     values = model.settings()
     name = model.friction if model.path is None else model.path.name
-    return _validated(name, model, records, lambda own, seconds: open_loop(servo, values, own, seconds))
+    found = _validated(name, model, records, lambda own, seconds: open_loop(servo, values, own, seconds))
+    return replace(found, findings=(*lines, *found.findings))
 
 
 def validate_fmu(fmu_path: Path, model: Model, records: Sequence[Record], timeout: float | None = None) -> Validation:
@@ -147,6 +151,26 @@ def validate_fmu(fmu_path: Path, model: Model, records: Sequence[Record], timeou
     simulator = FmuSimulator(fmu, model.output_kind == "velocity", timeout)
     found = _validated(fmu.path.name, model, records, simulator.open_loop)
     return replace(found, findings=(*simulator.lines(), *unit_lines(fmu, model), *found.findings))
+
+
+def _on_one_clock(model: Model, records: Sequence[Record]) -> tuple[Sequence[Record], list[str]]:
+    """Return the records with the times that an event of the model counts by, and a line that says so.
+
+    Where each record has a clock of its own, a diagnosis lets them follow one another, and so does this.
+    """
+    timed = {name: find_effect(name).timing for name in model.effects if find_effect(name).timing}
+    if not timed or not overlap((float(r.time[0]), float(r.time[-1])) for r in records):
+        return records, []
+    lines = [
+        f"{name} begins anew in each record, since each has a clock of its own" for name, kind in timed.items() if kind == "course"
+    ]
+    events = [name for name, kind in timed.items() if kind == "event"]
+    if not events:
+        return records, lines
+    begins = one_after_the_other(min(float(r.time[0]) for r in records), [len(r) * r.h for r in records])
+    moved = [replace(r, time=r.time - r.time[0] + begin) for r, begin in zip(records, begins, strict=True)]
+    order = ", ".join(r.name for r in records)
+    return moved, [*lines, f"{' and '.join(events)} by the time over the records one after the other, in the order given: {order}"]
 
 
 def _validated(name: str, model: Model, records: Sequence[Record], simulate: Simulated) -> Validation:

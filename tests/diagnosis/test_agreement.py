@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,15 +11,23 @@ import numpy as np
 import pytest
 
 from bristle.diagnosis import Model, records_from_arrays
-from bristle.diagnosis.agreement import agreement, with_agreement
+from bristle.diagnosis.agreement import agreement, with_agreement, without_floor
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
 from bristle.diagnosis.estimation.optimiser import resume
+from bristle.diagnosis.estimation.simulator import free_parameters
 from bristle.diagnosis.preparation import base_servo_of, dataset_of
 from bristle.diagnosis.report.headline import NOT_ENOUGH, headline, mark
-from bristle.diagnosis.report.result import HALVES, Agreement
+from bristle.diagnosis.report.result import HALVES, Agreement, Gap
 from bristle.records.record import Record
 
 H = 1e-3
+
+
+@dataclass(frozen=True)
+class Floored:
+    """What of a conclusion has a noise floor."""
+
+    gap: Gap
 
 
 def found_in(model: Model, records: list[Record]) -> Agreement:
@@ -86,18 +94,57 @@ def test_a_disagreement_is_said_and_is_not_enough(answer: Callable[[str], Any]) 
     assert mark(named)[0] == "good"
     assert mark(said)[0] == "open"
     assert headline(said).startswith(NOT_ENOUGH)
-    assert (
-        "85 nats likelier, and chance gives 24 at most. Most differs Fc: 0.1 N.m in warm, 0.13 N.m in cold." in said.statement[-1]
-    )
+    line = "85 nats likelier, and chance gives 24 at most. Most differs Fc: 0.1 N.m in warm, 0.13 N.m in cold."
+    assert line in said.statement[0]
+    assert said.experiment.startswith("Find out what was changed between the records")
     assert said.to_dict()["agreement"]["holds"] is False
     agreed = with_agreement(named, replace(apart, gain=20.0))
     assert agreed.statement == named.statement
     assert mark(agreed)[0] == "good"
     assert with_agreement(named, None).to_dict()["agreement"] is None
     halves = {"Fc": dict(zip(HALVES, (0.1, 0.13), strict=True))}
-    assert "The record does not agree with itself" in with_agreement(named, replace(apart, values=halves)).statement[-1]
+    said = with_agreement(named, replace(apart, values=halves))
+    assert "The record does not agree with itself" in said.statement[0]
+    assert said.experiment.startswith("Find out what changed during the record")
+
+
+def test_records_without_any_effect_that_do_not_agree_are_not_called_unexplained(answer: Callable[[str], Any]) -> None:
+    apart = Agreement(85.0, 24.0, {"Fc": {"warm": 0.1, "cold": 0.13}}, {"Fc": "N.m"}, "Fc")
+    assert headline(with_agreement(answer("none"), apart)) == f"{NOT_ENOUGH}: the records do not agree"
+    halves = replace(apart, values={"Fc": dict(zip(HALVES, (0.1, 0.13), strict=True))})
+    assert headline(with_agreement(answer("none"), halves)) == f"{NOT_ENOUGH}: halves of the record do not agree"
+    for agreed, floor in ((None, 0.2), (replace(apart, gain=2.0), 0.2), (apart, None)):
+        assert without_floor(Floored(Gap(1.0, 0.5, 0.2, "rad")), agreed).gap.noise_floor == floor
 
 
 def test_nothing_is_compared_before_bounds_are_widened() -> None:
     assert agreement(SimpleNamespace(), SimpleNamespace(proposal="wider bounds")) is None
     assert np.isfinite(Agreement(0.0, 1.0, {}, {}, "").level)
+
+
+def test_a_record_that_says_nothing_of_a_parameter_has_no_value_of_it(model: Model, measured: Callable[..., Any]) -> None:
+    """A step in the second record: the first one says nothing of it, and it is not what differs."""
+    parts = [measured("bias", 1, plain=1), measured("bias", 2, torque=0.05)]
+    records = records_from_arrays(model, [(name, t, u, y) for name, (t, u, y, _) in zip(("without", "with"), parts, strict=True)])
+    dataset = dataset_of(model, records)
+    base, values = base_servo_of(model, dataset)
+    times = dataset.segments.consecutive([0, 1])
+    assert times == (0.0, pytest.approx(12.0))  # with what follows the last segment
+    timed = replace(dataset, segments=dataset.segments.timed(times))
+    start = {"torque": 0.04, "onset": times[1] + 0.01}
+    servo = replace(
+        base, effects=("disturbance_step",), free=(*base.free, *free_parameters("disturbance_step", start, base.limits))
+    )
+    fitted = fit_with_noise(timed, servo, {**values, **{f"disturbance_step.{name}": x for name, x in start.items()}})
+    whole = resume(fitted.problem.only(timed.segments.counted), fitted.fit)
+    found = agreement(SimpleNamespace(model=model, dataset=timed), SimpleNamespace(proposal="", final=fitted, fit=whole))
+    assert found is not None
+    assert found.values["disturbance_step.torque"]["without"] is None
+    assert found.values["disturbance_step.torque"]["with"] == pytest.approx(0.05, rel=0.05)
+    assert found.differs != "disturbance_step.torque"
+
+
+def test_refits_that_end_on_the_way_tell_nothing(model: Model, run: Callable[..., Record], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bristle.diagnosis.agreement.predicted_gain", lambda _fit: 1e3)
+    with pytest.raises(AssertionError):
+        found_in(model, [run("first", 1), run("second", 2)])

@@ -180,3 +180,26 @@ def test_an_fmu_with_names_and_units_of_its_own_has_the_same_errors(records, pla
     assert validate_fmu(renamed, scaled, records).records[0].rms > 2 * expected.records[0].rms
     with pytest.raises(BristleError, match=r"variables\.uu: .*did you mean 'u'"):
         validate_fmu(renamed, replace(model(), variables={"uu": "voltage"}), records)
+
+
+def test_an_event_counts_time_over_records_that_each_begin_anew(records):
+    """A step at the beginning of the second record; the same records by one clock need no such order."""
+    given = TREE | {"effects": {"disturbance_step": {"torque": 0.05, "onset": 6.0, "rise": 1e-3}}}
+    t = H * np.arange(4000)
+    runs = []
+    for name, seed, torque in (("before", 1, 0.0), ("after", 2, 0.05)):
+        rng = np.random.default_rng(seed)
+        u = sum(0.3 * np.sin(2 * np.pi * f * t) * rng.uniform(0.6, 1.4) for f in (0.7, 1.3, 2.9, 4.3))
+        values = Model.from_dict(TREE).settings() | {"bias.torque": torque}
+        out, _ = Native(servo_program("coulomb", encoder=False, effects=("bias",)), values).run(H, {"u": u}, ["theta"])
+        runs.append(Record(name, 2.0 + t, H, u, out[:-1, 0], resolution=1e-6))
+    found = validate(Model.from_dict(given), runs)
+    assert [r.rms < 1e-2 for r in found.records] == [True, True]
+    assert found.findings[0].endswith("by the time over the records one after the other, in the order given: before, after")
+    assert [r.rms < 1e-2 for r in validate(Model.from_dict(given), runs[::-1]).records] == [False, False]
+    one_clock = [runs[0], replace(runs[1], time=runs[1].time + 4.0)]
+    again = validate(Model.from_dict(given), one_clock)
+    assert [r.rms < 1e-2 for r in again.records] == [True, True]
+    assert again.findings == ()
+    drifting = Model.from_dict(TREE | {"effects": {"friction_drift": {"rate": 0.01}}})
+    assert validate(drifting, runs).findings[0] == "friction_drift begins anew in each record, since each has a clock of its own"
