@@ -21,6 +21,7 @@ EDGE_INTERVAL_FACTOR = 5.0  # the same for effects that act beyond a place or a 
 PARABOLA_TRIALS = 6  # evaluations for each coefficient of the parabola through a nonsmooth likelihood
 CONTACT_SPREAD = 0.05  # relative: spread of these evaluations if a load has free play
 RECORD_BLOCKS = 4  # parts of a stretch of a record whose scores count as independent
+STRENGTH_HALF_WIDTH = 0.5  # from the strength of an effect to an end of its interval, over the strength, which must be less
 WIDEST_HALF_INTERVAL = 1.0  # factor of e, or s: widest half interval that the parabola gives
 
 
@@ -109,26 +110,45 @@ def parabola_half_widths(problem: Problem, fit: Fit, own: list[Free]) -> dict[st
 
 
 def estimates(model: Model, fit: Fit, problem: Problem | None = None) -> dict[str, Estimate]:
-    """Return the free parameters with their 95 % intervals, within what each parameter may be.
+    """Return the free parameters with their `intervals`, within what each parameter may be."""
+    found = {}
+    for f, (least, most) in zip(fit.free, intervals(fit, problem), strict=True):
+        if f.nominal is not None and f.name.startswith(f"{OWN_BRISTLES}."):
+            continue
+        low, high = model.allowed(f.name)
+        ci95 = float(max(least, low)), float(min(most, high))
+        found[f.name] = Estimate(float(fit.values[f.name]), model.unit(f.name), ci95, f.at_bound(fit.values[f.name]))
+    return found
 
-    The intervals are wider than the covariance gives by factors found on development records. With a problem, those of
-    nonsmooth effects are taken from `parabola_half_widths` if these are wider.
+
+def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, float]]:
+    """Return the 95 % intervals of the free parameters, whatever each may be.
+
+    They are wider than the covariance gives by factors found on development records. With a problem, those of nonsmooth effects are
+    taken from `parabola_half_widths` if these are wider.
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance(fit)), 0.0))
     own = nonsmooth_parameters(fit, all_effects()) if problem is not None else []
     wide_at = parabola_half_widths(problem, fit, own) if problem is not None and own else {}
-    found = {}
+    found = []
     for f, each in zip(fit.free, deviation, strict=True):
-        if f.nominal is not None and f.name.startswith(f"{OWN_BRISTLES}."):
-            continue
         wide, value = 1.96 * (EDGE_INTERVAL_FACTOR if _has_edges(f.name) else INTERVAL_FACTOR) * each, fit.values[f.name]
         ends = [value * math.exp(-wide), value * math.exp(min(wide, 50.0))] if f.factor else [value - wide, value + wide]
         if f.name in wide_at:
             ends += [perturbed(f.name, value, side * wide_at[f.name]) for side in (-1, 1)]
-        low, high = model.allowed(f.name)
-        ci95 = float(max(min(ends), low)), float(min(max(ends), high))
-        found[f.name] = Estimate(float(value), model.unit(f.name), ci95, f.at_bound(value))
+        found.append((min(ends), max(ends)))
     return found
+
+
+def strength_is_known(fit: Fit, problem: Problem, name: str) -> bool:
+    """Return whether the strength of an effect, its first parameter, is known to within `STRENGTH_HALF_WIDTH`."""
+    strength = find_effect(name).parameters[0].name
+    places = [k for k, f in enumerate(fit.free) if f.name == strength]
+    if not places:
+        return True
+    f, (low, high) = fit.free[places[0]], intervals(fit, problem)[places[0]]
+    ends = float(max(low, f.low)), float(min(high, f.high))
+    return Estimate(fit.values[strength], "", ends, f.at_bound(fit.values[strength])).known_within(STRENGTH_HALF_WIDTH)
 
 
 def _has_edges(parameter: str) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bristle.common.output import plain
+from bristle.diagnosis.estimation.uncertainty import STRENGTH_HALF_WIDTH
 from bristle.diagnosis.estimation.uncertainty import Estimate as Estimate
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.localisation.unnamed_torque import Curve
@@ -19,7 +20,6 @@ from bristle.diagnosis.modelfile import Model
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
-STRENGTH_HALF_WIDTH = 0.5  # from the strength of an effect to an end of its interval, over the strength, which must be less
 EXPERIMENT_FILE = "experiment.csv"  # holds the input of a record that would tell rivals apart
 
 

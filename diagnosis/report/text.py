@@ -6,11 +6,11 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from bristle.diagnosis.estimation.uncertainty import STRENGTH_HALF_WIDTH
 from bristle.diagnosis.localisation.residual_localisation import OUTLIERS
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.report.result import (
-    STRENGTH_HALF_WIDTH,
     Agreement,
     Estimate,
     Gap,

@@ -12,6 +12,7 @@ from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.optimiser import pressed_bounds
+from bristle.diagnosis.estimation.uncertainty import strength_is_known
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
 from bristle.diagnosis.selection.candidates import (
     EXHAUSTIVE,
@@ -116,25 +117,25 @@ def _added(context: SearchContext, base: FittedModel, found: SearchRound) -> tup
 
 def _find_effect(context: SearchContext, base: FittedModel, rounds: Sequence[SearchRound]) -> SearchRound:
     """Return the next round; with all start values if a quick one finds nothing and the model still fits poorly."""
-    names = _names(base, rounds)
-    found = propose_effect(context, names, QUICK)
+    names, further = _names(base, rounds), bool(rounds)
+    found = propose_effect(context, names, QUICK, further)
     poor = found.outcome in ("none", "rejected") and found.candidates and needs_exhaustive_search(context.dataset, context.fitted)
     if not poor:
         return found
     try:
-        return replace(found, cut_short=True) if context.options.late else propose_effect(context, names, EXHAUSTIVE)
+        return replace(found, cut_short=True) if context.options.late else propose_effect(context, names, EXHAUSTIVE, further)
     except OutOfTime:
         return replace(found, cut_short=True)
 
 
-def propose_effect(context: SearchContext, names: Sequence[str], effort: Effort) -> SearchRound:
-    """Return a round with its outcome: an effect to add (outcome "added"), or why there is none."""
+def propose_effect(context: SearchContext, names: Sequence[str], effort: Effort, further: bool = False) -> SearchRound:
+    """Return a round with its outcome: an effect to add (outcome "added"), or why there is none; `further`: beside others."""
     found = evaluate_candidates(context, names, effort)
-    return found if found.best is None else decide(context, found)
+    return found if found.best is None else decide(context, found, further)
 
 
-def decide(context: SearchContext, found: SearchRound) -> SearchRound:
-    """Return a round with the decision on its best candidate."""
+def decide(context: SearchContext, found: SearchRound, further: bool = False) -> SearchRound:
+    """Return a round with the decision on its best candidate; of a `further` one the strength must be known."""
     if not found.assessment.accepted:
         found = retry_with_shape(context, found)
     assert found.best is not None
@@ -156,6 +157,8 @@ def decide(context: SearchContext, found: SearchRound) -> SearchRound:
         ends = " and ".join(f"{key} at {found.best.fit.values[key]:.3g}" for key in pressed)
         why = f"'{name}' would explain most with {ends}, the end of what it can be: it stands in for something else"
         return replace(found, decision=why, outcome="limit", ties=())
+    if further and not strength_is_known(found.best.fit, context.own_noise(found.best.fit), name):
+        return found.rejected(f"'{name}' is significant, but beside what was found its strength is not known")
     return replace(found, decision=f"'{name}' added", outcome="added")
 
 
