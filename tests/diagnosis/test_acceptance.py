@@ -20,6 +20,7 @@ from bristle.diagnosis.estimation.simulator import Free
 from bristle.diagnosis.localisation.residual_localisation import SIGN_DRAWS, line_p, spectrum
 from bristle.diagnosis.localisation.views import clocks
 from bristle.diagnosis.preparation import base_servo_of
+from bristle.diagnosis.selection import stepwise
 from bristle.diagnosis.selection.candidates import EXHAUSTIVE, QUICK, Assessment, Candidate
 from bristle.diagnosis.selection.criterion import Comparison, is_tied, simplest
 from bristle.diagnosis.selection.effect_size import fall, fall_in_all, left_out_loss, net_share, predictive_density
@@ -475,3 +476,34 @@ def test_a_coupling_that_the_model_has_keeps_its_usual_form(case, exponent, move
     servo, _ = base_servo_of(replace(made.model, effects={"backlash": given}), made.dataset)
     assert ("backlash.exponent" in [f.name for f in servo.free]) is moves
     assert "backlash.play" in [f.name for f in servo.free]
+
+
+def test_a_further_effect_is_added_only_where_its_strength_is_known(case, monkeypatch, search_among):
+    """The first one is, too, where it is not: that is said in the headline."""
+    made = case("gravity")
+    search_among("gravity", "bias")
+    context = SearchContext(made.dataset, made.base, SearchOptions())
+    outcomes = {}
+    for known in (True, False):
+        monkeypatch.setattr(stepwise, "strength_is_known", lambda *_, known=known: known)
+        for further in (True, False):
+            outcomes[known, further] = propose_effect(context, ["gravity", "bias"], QUICK, further).outcome
+    assert outcomes == {(True, True): "added", (True, False): "added", (False, True): "rejected", (False, False): "added"}
+
+
+@pytest.mark.parametrize(
+    ("value", "ends", "bound", "known"),
+    [
+        (2.0, (1.1, 2.9), False, True),
+        (2.0, (1.9, 3.1), False, False),
+        (2.0, (0.9, 2.1), False, False),
+        (5.0, (4.9, 5.1), True, False),
+    ],
+)
+def test_a_strength_is_known_where_both_ends_of_its_interval_are_near(monkeypatch, value, ends, bound, known):
+    free = (Free("J", 0.0, 1.0), Free("gravity.amplitude", 0.0, 5.0))
+    fit = SimpleNamespace(free=free, values={"J": 0.5, "gravity.amplitude": value})
+    monkeypatch.setattr(intervals, "intervals", lambda *_: [(0.0, 9.0), ends])
+    assert free[1].at_bound(value) is bound
+    assert intervals.strength_is_known(fit, None, "gravity") is known
+    assert intervals.strength_is_known(SimpleNamespace(free=free[:1], values={"J": 0.5}), None, "gravity")
