@@ -244,7 +244,7 @@ def disagreement_line(found: Agreement) -> str:
         line = (
             f"The record does not agree with itself: with parameters of its own for each half it is {found.gain:.0f} nats likelier"
         )
-    line += f", and chance gives {found.level:.0f} at most."
+    line += f", and chance gives {found.level:.0f} at most ({NATS})."
     if values:
         unit = "" if found.units[found.differs] == "1" else f" {found.units[found.differs]}"
         low, high = (pick(values, key=lambda part: values[part]) for pick in (min, max))

@@ -94,7 +94,10 @@ def test_a_disagreement_is_said_and_is_not_enough(answer: Callable[[str], Any]) 
     assert mark(named)[0] == "good"
     assert mark(said)[0] == "open"
     assert headline(said).startswith(NOT_ENOUGH)
-    line = "85 nats likelier, and chance gives 24 at most. Most differs Fc: 0.1 N.m in warm, 0.13 N.m in cold."
+    line = (
+        "85 nats likelier, and chance gives 24 at most (natural units of log-likelihood: a gain of 4.6 nats is odds of 100 to 1). "
+    )
+    line += "Most differs Fc: 0.1 N.m in warm, 0.13 N.m in cold."
     assert line in said.statement[0]
     assert said.experiment.startswith("Find out what was changed between the records")
     assert said.to_dict()["agreement"]["holds"] is False
