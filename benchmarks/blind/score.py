@@ -32,7 +32,7 @@ def lower_bound(count: int, n: int) -> float:
 
 def _half_width(effect: Json) -> float:
     """Return how far the interval of an effect's strength reaches, over its value; infinite where it is at a bound."""
-    strength = next(iter(effect["parameters"].values()), {})
+    strength: Json = next(iter(effect["parameters"].values()), {})
     if strength.get("at_bound") or strength.get("ci95") is None or not strength["value"]:
         return math.inf
     (low, high), value = strength["ci95"], strength["value"]

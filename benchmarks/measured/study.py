@@ -31,7 +31,8 @@ IMAGES, MEASURED_TABLE = ROOT / "docs" / "images", ROOT / "benchmarks" / "result
 MEASURED_INTRODUCTION = """## Measured data
 
 `python benchmarks/measured/study.py`: each set is diagnosed from a rough model, with the bounds of a model file that gives none.
-Errors are those of held-out segments. An answer is right if it names the hidden effect and none that is not there, by itself or by its tie.
+Errors are those of held-out segments. An answer is right if it names the hidden effect and none that is not there, by itself or by
+its tie.
 
 What these figures do not say:
 
