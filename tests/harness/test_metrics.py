@@ -164,11 +164,10 @@ def test_every_limit_is_a_line_of_its_own() -> None:
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
 def test_limits_mean_what_they_say(value: float, limit: float) -> None:
-    result = {"x": value}
-    judged = {
-        line["kind"]: line["pass"] for line in metrics.judge(result, [Check(quantity="x", min=limit, max=limit, max_abs=limit)])
-    }
-    assert judged == {"min": value >= limit, "max": value <= limit, "max_abs": abs(value) <= limit}
+    size = abs(limit)
+    checks = [Check(quantity="x", min=limit, max=limit), Check(quantity="x", max_abs=size)]
+    judged = {line["kind"]: line["pass"] for line in metrics.judge({"x": value}, checks)}
+    assert judged == {"min": value >= limit, "max": value <= limit, "max_abs": abs(value) <= size}
 
 
 def test_json_has_null_for_what_is_not_a_number() -> None:

@@ -87,7 +87,7 @@ BROKEN = [
     ("law", "LAW =", "OTHER =", "no LAW that is a FrictionLaw"),
     ("law", '"N.m", 0.004', '"mN.m", 0.004', "unit 'mN.m' is 0.001 of the SI unit"),
     ("law", '    "outside",', '    "inside",', "declares 'inside', its entry point is called 'outside'"),
-    ("effect", '"theta",)', '"position",)', "residual: 'position' is no view"),
+    ("effect", '"v",)', '"velocity",)', "residual: 'velocity' is no view"),
     ("effect", '"{torque} of', '"{tork} of', "EFFECT is malformed: KeyError: 'tork'"),
     ("observer", '"ljung1999 section 11.2",\n    "y_v"', '"my rig",\n    "y_v"', "source 'my rig': names no key"),
 ]
