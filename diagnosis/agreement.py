@@ -67,14 +67,14 @@ def with_agreement(diagnosis: answer.Diagnosis, agrees: answer.Agreement | None)
 
 def _parts(segments: Segments) -> Iterator[tuple[str, Mask]]:
     """Give name and counted segments of each record, or of each half of a single one."""
-    counts = [len(piece.measured) for piece in segments.pieces]
-    ends = np.cumsum(counts)
-    names = [piece.name for piece in segments.pieces]
-    if len(counts) == 1:
-        ends, names = np.array([counts[0] // 2, counts[0]]), list(answer.HALVES)
-    places = np.arange(sum(counts))
-    for name, begin, end in zip(names, (0, *ends[:-1]), ends, strict=True):
-        yield name, segments.counted & (places >= begin) & (places < end)
+    names, places = [piece.name for piece in segments.pieces], segments.places
+    if len(places) == 1:
+        middle = places[0].stop // 2
+        names, places = list(answer.HALVES), [slice(middle), slice(middle, None)]
+    for name, place in zip(names, places, strict=True):
+        mask = np.zeros_like(segments.counted)
+        mask[place] = segments.counted[place]
+        yield name, mask
 
 
 def _most_different(fits: Sequence[Fit], known: Mask, shown: Sequence[int]) -> str:

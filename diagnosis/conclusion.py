@@ -20,7 +20,7 @@ from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, 
 from bristle.diagnosis.localisation.views import Share
 from bristle.diagnosis.modelfile import BOUND_FACTOR, Model
 from bristle.diagnosis.report import result as answer
-from bristle.diagnosis.report.text import Facts, experiment, open_loop_line, statement, undetected
+from bristle.diagnosis.report.text import Facts, begins_anew, experiment, open_loop_line, statement, undetected
 from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
@@ -236,7 +236,7 @@ def _clock_lines(case: Case, c: Conclusion) -> list[str]:
         timing = find_effect(effect.name).timing
         order = sorted(range(len(names)), key=lambda i: fitted.times[i])
         if timing == "course" and fitted.times == given.times:
-            lines.append(f"{effect.name} begins anew in each record, since each has a clock of its own")
+            lines.append(begins_anew(effect.name))
         elif timing == "course":
             lines.append(f"{effect.name} goes on from one record to the next in the order given: {', '.join(names)}")
         elif timing == "event":
@@ -339,18 +339,15 @@ def unnamed(last: SearchRound, narrow: str, left: Unexplained, mute: Sequence[st
 
 def _traces(dataset: Dataset, before: Fit, after: Fit) -> tuple[answer.Trace, ...]:
     """Return what was measured and simulated, an average a bin, record by record, start states at their best as in the gap."""
-    s, first, traces = dataset.segments, 0, []
+    s, traces = dataset.segments, []
     whole = np.ones(len(dataset.held_out), dtype=bool)
     left = [np.where(fit.good[:, None], errors(fit, whole), np.nan) for fit in (before, after)]
-    for piece in s.pieces:
-        n = len(piece.measured)
-        part = slice(first, first + n)
-        time_ = piece.time + s.h * (s.width * np.arange(n * s.bins, dtype=np.float64) + (s.width - 1) / 2)
+    for piece, part in zip(s.pieces, s.places, strict=True):
+        time_ = piece.time + s.h * (s.width * np.arange(piece.measured.size, dtype=np.float64) + (s.width - 1) / 2)
         held = np.repeat(dataset.held_out[part], s.bins)
         old, new = ((piece.measured - error[part]).ravel() for error in left)
         u = piece.u.reshape(-1, s.width).mean(axis=1)
         traces.append(answer.Trace(piece.name, time_, u, piece.measured.ravel(), old, new, held))
-        first += n
     return tuple(traces)
 
 

@@ -344,6 +344,11 @@ class Effect(Extension):
         )
 
     @property
+    def strength(self) -> Parameter:
+        """Its first parameter, which says how strong it is."""
+        return self.parameters[0]
+
+    @property
     def shape_parameters(self) -> frozenset[str]:
         """Short names of the parameters of its shape."""
         return frozenset(short for start in self.shape_starts for short in start)

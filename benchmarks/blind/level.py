@@ -55,7 +55,8 @@ def replicate(fitted: FittedModel, records: Sequence[Record], rng: np.random.Gen
     for record, piece in zip(records, grid.pieces, strict=True):
         u, noise = np.asarray(record.u), fit.noise
         torque = disturbed(u, noise, fit.values["b"], record.h, rng)
-        whole = Piece(record.name, float(record.time[0]), torque, np.zeros((1, len(u))), piece.initial[:1], np.ones((1, 2)))
+        none, start, unsure = np.zeros((1, len(u))), piece.initial[:1], np.ones((1, 2))
+        whole = Piece(record.name, float(record.time[0]), torque, none, start, unsure, piece.seconds)
         simulator = fit.simulator.over(Segments(record.h, 1, len(u), grid.velocity, (whole,)))
         simulated, _, good, _ = simulator.run(fit.values, whole.initial)
         if not good.all():

@@ -19,7 +19,7 @@ from shared import upper_bound
 
 Json = dict[str, Any]
 SLACK = 1e-9
-UNKNOWN = 0.5  # half an interval over the value from which on the report calls the strength of an effect not known
+UNKNOWN = 0.5  # from a strength to an end of its interval, over the strength, from which on the report calls it not known
 SINGLE = ("same", "other", "low", "faint")  # groups of one effect each, with rich excitation
 OUTCOMES = ("right", "wrong", "in part", "tie with truth", "tie without", "none", "not_identifiable", "error")
 BINS = ((0.0, 1.3), (1.3, 1.6), (1.6, 2.0), (2.0, 4.0), (4.0, 10.0), (10.0, math.inf))
@@ -30,7 +30,7 @@ def lower_bound(count: int, n: int) -> float:
     return 1 - upper_bound(n - count, n) if n else 0.0
 
 
-def _half_width(effect: Json) -> float:
+def _reach(effect: Json) -> float:
     """Return how far the interval of an effect's strength reaches, over its value; infinite where it is at a bound."""
     strength: Json = next(iter(effect["parameters"].values()), {})
     if strength.get("at_bound") or strength.get("ci95") is None or not strength["value"]:
@@ -84,7 +84,7 @@ class Judged:
         agreement = self.result.get("agreement") or {"holds": True}
         horizons = (self.result.get("whole_record") or {}).get("horizons") or []
         worse = bool(horizons) and (horizons[-1]["after"] or math.inf) > (horizons[-1]["before"] or math.inf)
-        unknown = any(_half_width(effect) >= UNKNOWN for effect in self.result["effects"])
+        unknown = any(_reach(effect) >= UNKNOWN for effect in self.result["effects"])
         return self.flagged or not agreement["holds"] or unknown or worse
 
     @property

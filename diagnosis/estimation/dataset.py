@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ class Piece:
     measured: Array
     initial: Array
     initial_sd: Array
-    seconds: float = 0.0
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Segments(Grid):
 
     def consecutive(self, order: Sequence[int]) -> tuple[float, ...]:
         """Return times of the first samples [s] with which the records, in this order, follow one another without a gap."""
-        seconds = [max(self.pieces[i].seconds, self.h * len(self.pieces[i].u)) for i in order]
+        seconds = [self.pieces[i].seconds for i in order]
         begins = dict(zip(order, one_after_the_other(min(self.times), seconds), strict=True))
         return tuple(begins[i] for i in range(len(order)))
 
@@ -118,6 +118,12 @@ class Segments(Grid):
         return self.block > 0
 
     @property
+    def places(self) -> list[slice]:
+        """Where the segments of each record stand among those of all."""
+        ends = [0, *accumulate(len(piece.measured) for piece in self.pieces)]
+        return [slice(begin, end) for begin, end in pairwise(ends)]
+
+    @property
     def block(self) -> NDArray[np.int_]:
         """Number of each segment within its record."""
         return np.concatenate([np.arange(len(piece.measured)) for piece in self.pieces])
@@ -156,14 +162,12 @@ def chains_of(segments: Segments) -> list[Chains]:
 
 def _parts(segments: Segments, longest: int) -> Iterator[tuple[float, int, int, int]]:
     """Give (time, first, begin, end) of parts of the records, none with more segments than `longest` and the one before."""
-    offset = 0
-    for piece in segments.pieces:
+    for piece, place in zip(segments.pieces, segments.places, strict=True):
         count = len(piece.measured)
         ends = [round(x) for x in np.linspace(0, count, math.ceil(count / longest) + 1)]
         for begin, end in pairwise(ends):
             first = max(begin - 1, 0)
-            yield piece.time + first * segments.seconds, offset + first, offset + begin, offset + end
-        offset += count
+            yield piece.time + first * segments.seconds, place.start + first, place.start + begin, place.start + end
 
 
 def _together(parts: Sequence[tuple[float, int, int, int]], width: int) -> Chains:

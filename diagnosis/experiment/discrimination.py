@@ -36,7 +36,8 @@ class Rival:
 
     def output(self, u: Array, setup: Setup) -> Array | None:
         """Return its output (n,) under an input (n,) from rest; None if the simulation fails."""
-        blank = Piece("experiment", setup.time, u, np.zeros((1, len(u))), np.array([[setup.start, 0.0]]), np.ones((1, 2)))
+        start, seconds = np.array([[setup.start, 0.0]]), setup.grid.h * len(u)
+        blank = Piece("experiment", setup.time, u, np.zeros((1, len(u))), start, np.ones((1, 2)), seconds)
         simulator = self.fit.simulator.over(Segments(setup.grid.h, 1, len(u), setup.grid.velocity, (blank,)))
         simulated, _, good, _ = simulator.run(self.fit.values, blank.initial)
         return simulated[0] if good[0] and np.isfinite(simulated).all() else None

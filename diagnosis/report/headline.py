@@ -17,7 +17,7 @@ def headline(diagnosis: Diagnosis) -> str:
         return "First correct the data" if as_given(diagnosis) else "First widen the bounds"
     if not _not_enough(diagnosis):
         return _found(diagnosis)
-    if diagnosis.verdict == "none" and diagnosis.agreement is not None and not diagnosis.agreement.holds:
+    if diagnosis.verdict == "none" and diagnosis.agreement is not None and diagnosis.records_disagree:
         return f"{NOT_ENOUGH}: {'halves of the record' if diagnosis.agreement.of_halves else 'the records'} do not agree"
     if diagnosis.verdict == "none":
         return f"{NOT_ENOUGH}: something is missing, and no effect that was tried explains it"
@@ -42,8 +42,7 @@ def _not_enough(diagnosis: Diagnosis) -> bool:
     """
     whole = diagnosis.whole
     worse = bool(diagnosis.effects) and whole is not None and whole.worse
-    apart = diagnosis.agreement is not None and not diagnosis.agreement.holds
-    return diagnosis.remains.flag or worse or apart or not all(e.known for e in diagnosis.effects)
+    return diagnosis.remains.flag or worse or diagnosis.records_disagree or not all(e.known for e in diagnosis.effects)
 
 
 def _lacking(diagnosis: Diagnosis) -> str:

@@ -36,7 +36,7 @@ class Named:
     @property
     def known(self) -> bool:
         """True if its strength, the first parameter, is known; otherwise it may stand in for something else."""
-        strength = self.parameters.get(find_effect(self.name).parameters[0].name.split(".")[1])
+        strength = self.parameters.get(find_effect(self.name).strength.name.removeprefix(f"{self.name}."))
         return strength is None or strength.known_within(STRENGTH_HALF_WIDTH)
 
 
@@ -318,6 +318,11 @@ class Diagnosis:
     unnamed: UnnamedTorque | None = None
     designed: DesignedInput | None = None
     agreement: Agreement | None = None
+
+    @property
+    def records_disagree(self) -> bool:
+        """True if the records were compared, and do not agree."""
+        return self.agreement is not None and not self.agreement.holds
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, the answer in sentences, and a table of the effects."""

@@ -236,6 +236,11 @@ def unexplained_line(left: Unexplained, wording: Wording, open_tie: bool) -> str
     return f"Unexplained residual: {said}, {end}."
 
 
+def begins_anew(name: str) -> str:
+    """Return a line on an effect whose course each record begins with, where each has a clock of its own."""
+    return f"{name} begins anew in each record, since each has a clock of its own"
+
+
 def disagreement_line(found: Agreement) -> str:
     """Return a line on records that do not agree on the parameters."""
     values = {part: value for part, value in found.values.get(found.differs, {}).items() if value is not None}
@@ -355,6 +360,6 @@ def _undetected(each: Undetected, model: Model, added: str) -> str:
         return f"tried; the likelihood gain does not exceed chance; {needs}"
     if each.limit is None:
         return f"these records cannot show it; {needs}"
-    strength = effect.parameters[0]
+    strength = effect.strength
     unit = model.unit(strength.name)
     return f"{strength.description}: more than {each.limit:.2g}{'' if unit == '1' else ' ' + unit} would have been detected"

@@ -48,7 +48,7 @@ def _undetected(c: Candidate, null: Null, base: float) -> Undetected:
     if (gain := c.fit.total - base) > null.level(c.name):
         return Undetected(c.name, gain=gain, failed=_failed(c))
     effect = find_effect(c.name)
-    strength = effect.parameters[0]
+    strength = effect.strength
     free = [f.name for f in c.fit.free]
     proportional = strength.minimum <= 0 <= strength.maximum and not effect.sparse  # nothing is left of it at zero
     if not proportional or strength.name not in free:

@@ -208,7 +208,7 @@ def _nominal_starts(context: SearchContext) -> Callable[[str], list[JointStart]]
     evidence = evidence_of(dataset, fit, ResidualResponse(replace(fitted, fit=fit), dataset))
 
     def starts(name: str) -> list[JointStart]:
-        first = find_effect(name).parameters[0].name.removeprefix(f"{name}.")
+        first = find_effect(name).strength.name.removeprefix(f"{name}.")
         known = [start for start in context.start_values(name, evidence) if first in start]
         return _joined(nominal, name, [{**start, first: x * start[first]} for start in known for x in STRENGTH_FACTORS])
 

@@ -19,6 +19,7 @@ from bristle.diagnosis.fmu.workflow import plant_fmu, unit_lines
 from bristle.diagnosis.modelfile import Model
 from bristle.diagnosis.preparation import SEGMENT_SECONDS, fixed_values
 from bristle.diagnosis.report.result import Trace
+from bristle.diagnosis.report.text import begins_anew
 from bristle.diagnosis.whole.open_loop import OpenLoop, Records, open_loop
 from bristle.diagnosis.workflow import check_arguments
 from bristle.plant.effects import effect as find_effect
@@ -158,12 +159,10 @@ def _on_one_clock(model: Model, records: Sequence[Record]) -> tuple[Sequence[Rec
 
     Where each record has a clock of its own, a diagnosis lets them follow one another, and so does this.
     """
-    timed = {name: find_effect(name).timing for name in model.effects if find_effect(name).timing}
+    timed = {name: kind for name in model.effects if (kind := find_effect(name).timing)}
     if not timed or not overlap((float(r.time[0]), float(r.time[-1])) for r in records):
         return records, []
-    lines = [
-        f"{name} begins anew in each record, since each has a clock of its own" for name, kind in timed.items() if kind == "course"
-    ]
+    lines = [begins_anew(name) for name, kind in timed.items() if kind == "course"]
     events = [name for name, kind in timed.items() if kind == "event"]
     if not events:
         return records, lines
