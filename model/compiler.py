@@ -10,12 +10,12 @@ import shlex
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from io import FileIO
 from pathlib import Path
 
 from bristle.common.cache import cache_folder, cached, digest
@@ -90,8 +90,7 @@ class Toolchain:
     flags: tuple[str, ...] = ()
 
 
-_watched: set[int] = set()  # pipes of the compilers that run; each ends with its pipe
-_ending = threading.Lock()
+_watched: set[FileIO] = set()  # pipes of the compilers that run; each ends with its pipe
 _toolchains: list[Toolchain] = []  # the last one is in use
 
 
@@ -207,8 +206,7 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
     environment = _environment(folder)
     if sys.platform == "win32":
         return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=TIMEOUT)
-    watched, held = os.pipe()
-    _watched.add(held)
+    watched, held = _pipe()
     try:
         with subprocess.Popen(
             ["/bin/sh", "-c", WATCHED, "sh", *command], stdin=watched, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -224,12 +222,21 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
         os.close(watched)
 
 
-def _end(pipe: int) -> None:
+def _pipe() -> tuple[int, FileIO]:
+    """Return the end of a pipe that is read, and the one that a compiler lives by.
+
+    That one is a file and no number: once closed, a number may be that of the pipe of another thread's compiler.
+    """
+    watched, held = os.pipe()
+    file = FileIO(held, "w")
+    _watched.add(file)
+    return watched, file
+
+
+def _end(pipe: FileIO) -> None:
     """Let go of the pipe that a compiler lives by, if nobody has: it ends, unless it is done."""
-    with _ending:
-        if pipe in _watched:
-            _watched.remove(pipe)
-            os.close(pipe)
+    _watched.discard(pipe)
+    pipe.close()
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -104,3 +105,20 @@ def test_no_descriptor_stays_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     before = len(os.listdir("/proc/self/fd"))
     compile_shared({"f.c": "int g(void);\n"}, tmp_path / "second.so")
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_compiler_that_is_done_ends_no_other(tmp_path: Path) -> None:
+    """A descriptor that is closed may be the next one's, in another thread."""
+    done, pipe = compiler._pipe()
+    number = pipe.fileno()
+    compiler._end(pipe)
+    os.close(done)
+    other_done, other = compiler._pipe()
+    assert other.fileno() in (number, done)
+    compiler._end(pipe)
+    os.fstat(other.fileno())
+    compiler._end(other)
+    os.close(other_done)
+    with ThreadPoolExecutor(8) as pool:
+        codes = list(pool.map(lambda k: compiler._run(["sleep", "0.05" if k % 4 else "0.3"], tmp_path).returncode, range(200)))
+    assert codes == [0] * 200
