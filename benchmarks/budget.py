@@ -14,7 +14,7 @@ from pathlib import Path
 from bristle.diagnosis import Model, Record, SearchOptions, diagnose, load_model, load_records
 
 ROOT = Path(__file__).resolve().parents[1]
-UNTRIED = re.compile(r"effects not tried in the last round: ([^;]*)")
+UNTRIED = re.compile(r"effects not tried to the end in the last round: ([^;]*)")
 BUDGET_TABLE = ROOT / "benchmarks" / "results" / "budget.md"
 BUDGETS = (5.0, 10.0, 20.0)  # s
 BUDGETED = ("01", "03", "06", "09", "12", "15")  # cases; 15 is backlash, the costliest effect
@@ -34,7 +34,7 @@ def timed(name: str, budget: float) -> tuple[float, str]:
     found = diagnose(model, records, options=SearchOptions(budget=budget))
     seconds = time.perf_counter() - started
     said = next((line.split("used up: ")[1] for line in found.findings if "time budget" in line), "-")
-    return seconds, UNTRIED.sub(lambda found: f"{len(found[1].split(','))} effects not tried in the last round", said)
+    return seconds, UNTRIED.sub(lambda found: f"{len(found[1].split(','))} effects not tried to the end in the last round", said)
 
 
 def budget_table() -> str:

@@ -205,9 +205,9 @@ def _hindrance(c: Conclusion) -> str:
     """Return why nothing can be named although something is missing for certain; empty where the motion or a tie is the reason."""
     if c.rounds[-1].outcome == "limit":
         return c.rounds[-1].decision
-    if c.rounds[-1].untried and not c.undecided:
+    if c.rounds[-1].unfinished and not c.undecided:
         so_far = f"; so far, {c.rounds[-1].decision}" if c.rounds[-1].outcome == "rejected" else ""
-        return f"the time budget was used up before {len(c.rounds[-1].untried)} effects were tried{so_far}"
+        return f"the time budget was used up before {len(c.rounds[-1].unfinished)} effects were tried to the end{so_far}"
     if c.remains.disturbance > DOMINANT_DISTURBANCE and not c.undecided:
         size = f"{c.remains.disturbance:.0%} of the input"
         return f"the model needs a disturbance of {size} to follow them; check columns, signs and units"
@@ -331,7 +331,7 @@ def unnamed(last: SearchRound, narrow: str, left: Unexplained, mute: Sequence[st
     """
     classes = {group(name) for name in undecided_names(last)}
     if not classes:
-        hidden = last.outcome == "limit" or bool(last.untried) or left.disturbance > DOMINANT_DISTURBANCE
+        hidden = last.outcome == "limit" or bool(last.unfinished) or left.disturbance > DOMINANT_DISTURBANCE
         return "not_identifiable" if mute or hidden or (narrow and (left.flag or last.best)) else "none"
     many = MOST_TIED_UNIFORM if narrow else MOST_TIED
     return "tie" if len(classes) <= many and last.outcome != "withdrawn" else "not_identifiable"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from bristle.diagnosis.conclusion import Case, Conclusion
@@ -54,5 +55,5 @@ def _reason(refused: tuple[Curve, float] | None) -> str:
         return "no smooth function of velocity, position, input or time predicts anything of it in segments left out of the fit"
     return (
         f"the best function, of {view_name(refused[0].variable)}, lowers the squared error on held-out segments by a factor of "
-        f"{refused[1]:.2g} only, and {LEAST_FALL:g} is asked"
+        f"{math.floor(100 * refused[1]) / 100:.2f} only, and {LEAST_FALL:g} is asked"
     )

@@ -141,7 +141,8 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
 
 def _cut_short(outcome: SearchOutcome, options: SearchOptions, later: Sequence[str]) -> list[str]:
     """Return a line on what a time budget left out, of the search and after it (`later`), if it did."""
-    left = [f"effects not tried in the last round: {', '.join(outcome.rounds[-1].untried)}"] if outcome.rounds[-1].untried else []
+    unfinished = ", ".join(outcome.rounds[-1].unfinished)
+    left = [f"effects not tried to the end in the last round: {unfinished}"] if unfinished else []
     left += [outcome.cut_short] if outcome.cut_short and not left else []
     left += later
     return [f"the time budget of {options.budget:g} s was used up: {'; '.join(left)}"] if left else []

@@ -11,7 +11,8 @@ def designed_line(found: DesignedInput | None, model: Model) -> str:
     """Return what to play back and what it is expected to tell, or that nothing within the limits would; empty for None."""
     if found is None:
         return ""
-    names = listed([effect_name(name, model.wording) if name else "no further effect" for name in found.rivals], "and")
+    effects = [effect_name(name, model.wording) for name in found.rivals if name]
+    names = listed([*effects, *(["no further effect"] if "" in found.rivals else [])], "and")
     if not found.written:
         return (
             f"No input was found that keeps to the range of input and position of these records and tells apart {names}: "

@@ -52,8 +52,8 @@ class SearchRound:
         return self.outcome == "added"
 
     @property
-    def untried(self) -> tuple[str, ...]:
-        """Candidates for which the time budget did not suffice."""
+    def unfinished(self) -> tuple[str, ...]:
+        """Candidates that were not tried, or not to the end, since the time budget did not suffice."""
         return tuple(c.name for c in self.candidates if c.reason == OUT_OF_TIME)
 
     @property

@@ -144,8 +144,8 @@ def decide(context: SearchContext, found: SearchRound, further: bool = False) ->
         return found.rejected(f"'{name}' is significant, but {found.assessment.objection}")
     if is_wave_harmonic(context.dataset, context.fitted, found.best):
         return found.rejected(f"'{name}' may only correct the shape of an effect that was added")
-    if found.untried:
-        return found.rejected(f"'{name}' is the best of those that were tried in time", keep_ties=True)
+    if found.unfinished:
+        return found.rejected(f"'{name}' is the best, but others were not tried to the end", keep_ties=True)
     if any(group(other) != group(name) for other in found.ties):
         return replace(found, decision="several effects explain the residual equally well", outcome="tie")
     if found.finer_gain is not None and numerical(found.gain, found.finer_gain, found.level):

@@ -183,3 +183,5 @@ def test_the_sentence_says_file_rivals_gain_and_open_loop_or_that_there_is_none(
         "file": None, "rivals": ["bias", "gravity"], "gain": 2.5, "level": 6.0,
     }  # fmt: skip
     assert designed_line(None, model) == ""
+    alone = designed_line(replace(made(), rivals=("", "bias", "gravity")), model)
+    assert "and no further effect by 42 nats" in alone

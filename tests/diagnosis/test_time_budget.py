@@ -47,7 +47,7 @@ def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(
     answer = found(model, measured, SearchOptions(budget=1e-3))
     assert answer.verdict == "not_identifiable"
     [line] = [each for each in answer.findings if "time budget" in each]
-    assert line.startswith("the time budget of 0.001 s was used up: effects not tried in the last round: asymmetric_coulomb, ")
+    assert line.startswith("the time budget of 0.001 s was used up: effects not tried to the end in the last round: asymmetric_coulomb, ")
     later = ("parameters were not refitted to whole records", "no unnamed torque", "records were not compared for their parameters")
     assert line.endswith("; ".join([*later, "no input of a further record"]))
     assert any("before 26 effects were tried" in each for each in answer.statement)
@@ -81,7 +81,7 @@ def test_what_is_being_tried_ends_with_the_budget(model: Model, measured: Any, m
         enough = share * SEARCH_SHARE > 0.9  # for the whole search; an effect is the best one only of those that were tried
         assert [e.name for e in cut.effects] == ([e.name for e in whole.effects] if enough else [])
     assert cut.verdict in (["named"] if enough else ["not_identifiable", "tie"])
-    assert enough or any("not tried in the last round" in each for each in cut.findings)
+    assert enough or any("not tried to the end in the last round" in each for each in cut.findings)
 
 
 def test_a_deadline_holds_in_threads_and_ends_with_its_block() -> None:

@@ -12,7 +12,7 @@ import pytest
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, records_from_arrays
 from bristle.diagnosis.estimation.fitted_model import fit_with_noise
-from bristle.diagnosis.filling import unnamed_torque
+from bristle.diagnosis.filling import _reason, unnamed_torque
 from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.localisation.unnamed_torque import Curve
 from bristle.diagnosis.modelfile import model_text
@@ -152,3 +152,8 @@ def test_it_can_be_asked_for_where_nothing_is_named_but_not_beside_a_choice(answ
     assert augment(tie, fill=True).added == ("unnamed_torque_v",)
     with pytest.raises(BristleError, match="choose an effect or fill, not both"):
         augment(tie, "bias", fill=True)
+
+
+def test_a_fall_that_is_too_small_is_not_rounded_to_the_one_that_is_asked():
+    curve = Curve("v", -1.0, 1.0, np.zeros(UNNAMED_KNOTS), np.ones(UNNAMED_KNOTS))
+    assert "by a factor of 1.19 only, and 1.2 is asked" in _reason((curve, 1.1999))
