@@ -349,6 +349,11 @@ class Effect(Extension):
         return self.parameters[0]
 
     @property
+    def decisive(self) -> Parameter:
+        """What must be known for it to be told from others: its strength, or the free play, without which it is a shaft."""
+        return next((p for p in self.parameters if p.name == f"{self.name}.{self.free_play}"), self.strength)
+
+    @property
     def shape_parameters(self) -> frozenset[str]:
         """Short names of the parameters of its shape."""
         return frozenset(short for start in self.shape_starts for short in start)

@@ -141,8 +141,8 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
 
 
 def strength_is_known(fit: Fit, problem: Problem, name: str) -> bool:
-    """Return whether the strength of an effect, its first parameter, is known to within `STRENGTH_HALF_WIDTH`."""
-    strength = find_effect(name).strength.name
+    """Return whether the strength of an effect, or its free play, is known to within `STRENGTH_HALF_WIDTH`."""
+    strength = find_effect(name).decisive.name
     places = [k for k, f in enumerate(fit.free) if f.name == strength]
     if not places:
         return True

@@ -35,8 +35,8 @@ class Named:
 
     @property
     def known(self) -> bool:
-        """True if its strength, the first parameter, is known; otherwise it may stand in for something else."""
-        strength = self.parameters.get(find_effect(self.name).strength.name.removeprefix(f"{self.name}."))
+        """True if its strength, or its free play, is known; otherwise it may stand in for something else."""
+        strength = self.parameters.get(find_effect(self.name).decisive.name.removeprefix(f"{self.name}."))
         return strength is None or strength.known_within(STRENGTH_HALF_WIDTH)
 
 

@@ -290,11 +290,14 @@ def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:
 
 
 def _unknown(facts: Facts) -> Iterator[str]:
-    """Give a line on the named effects whose strength is not known."""
-    if unknown := [e.name for e in facts.effects if not e.known]:
-        of, it = effects_listed(unknown, "or", facts.wording), "it" if len(unknown) == 1 else "each"
-        within = f"{100 * STRENGTH_HALF_WIDTH:.0f} %"
-        yield f"The strength of {of} is not known to within {within}: {it} may stand in for something else."
+    """Give lines on the named effects whose strength or free play is not known."""
+    unknown = [e.name for e in facts.effects if not e.known]
+    play = [name for name in unknown if find_effect(name).free_play]
+    for what, names in (("strength", [name for name in unknown if name not in play]), ("play", play)):
+        if names:
+            of, it = effects_listed(names, "or", facts.wording), "it" if len(names) == 1 else "each"
+            within = f"{100 * STRENGTH_HALF_WIDTH:.0f} %"
+            yield f"The {what} of {of} is not known to within {within}: {it} may stand in for something else."
 
 
 def experiment(facts: Facts) -> str:

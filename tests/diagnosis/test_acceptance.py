@@ -507,3 +507,12 @@ def test_a_strength_is_known_where_both_ends_of_its_interval_are_near(monkeypatc
     assert free[1].at_bound(value) is bound
     assert intervals.strength_is_known(fit, None, "gravity") is known
     assert intervals.strength_is_known(SimpleNamespace(free=free[:1], values={"J": 0.5}), None, "gravity")
+
+
+@pytest.mark.parametrize(("ends", "known"), [((0.0, 0.04), False), ((0.019, 0.021), True)])
+def test_a_backlash_is_known_by_its_play(monkeypatch, ends, known):
+    """With none it is a shaft, however well the inertia behind it is known."""
+    free = (Free("backlash.share", 0.02, 0.9), Free("backlash.play", 0.0, 5.0))
+    fit = SimpleNamespace(free=free, values={"backlash.share": 0.5, "backlash.play": 0.02})
+    monkeypatch.setattr(intervals, "intervals", lambda *_: [(0.49, 0.51), ends])
+    assert intervals.strength_is_known(fit, None, "backlash") is known

@@ -212,6 +212,10 @@ def test_an_effect_whose_strength_is_not_known_is_not_enough(answer):
     assert mark(replace(named, effects=(place,)))[0] == "good"  # a phase is no strength
     stuck = replace(effect, parameters={**effect.parameters, "amplitude": replace(strength, at_bound=True)})
     assert mark(replace(named, effects=(stuck,)))[0] == "open"
+    loose = replace(effect, name="backlash", parameters={"share": strength, "play": wide})
+    assert mark(replace(named, effects=(loose,)))[0] == "open"
+    line = "The play of free play in the coupling (backlash) is not known to within 50 %: it may stand in for something else."
+    assert line in statement(Facts("named", named.gap, named.remains, (loose,)))
 
 
 def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):

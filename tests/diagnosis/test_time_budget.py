@@ -47,7 +47,9 @@ def test_a_budget_that_is_used_up_leaves_an_answer_that_says_what_was_not_tried(
     answer = found(model, measured, SearchOptions(budget=1e-3))
     assert answer.verdict == "not_identifiable"
     [line] = [each for each in answer.findings if "time budget" in each]
-    assert line.startswith("the time budget of 0.001 s was used up: effects not tried to the end in the last round: asymmetric_coulomb, ")
+    assert line.startswith(
+        "the time budget of 0.001 s was used up: effects not tried to the end in the last round: asymmetric_coulomb, "
+    )
     later = ("parameters were not refitted to whole records", "no unnamed torque", "records were not compared for their parameters")
     assert line.endswith("; ".join([*later, "no input of a further record"]))
     assert any("before 26 effects were tried" in each for each in answer.statement)
