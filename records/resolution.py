@@ -8,6 +8,8 @@ import numpy as np
 
 from bristle.common.table import Array
 
+STEP_TOLERANCE = 0.15  # steps: deviation from a whole number of steps that cut digits may cause
+GAP_QUANTILES = (0.9, 0.5, 0.0)  # of the distances between distinct values: where their step is looked for, coarse first
 NOISE_ORDER = 5  # of the differences of neighbours, in which noise is left and the motion of a servo is not
 
 
@@ -19,8 +21,9 @@ def common_step(values: Array) -> float | None:
     gaps = gaps[gaps > 1e-12 * max(1.0, float(np.max(np.abs(values))))]
     if len(gaps) < 2:
         return None
-    # most distinct neighbours are one step apart, but an outlier is not, and some readings change by two or three steps only
-    for start in dict.fromkeys((float(np.min(gaps)), float(np.median(gaps)))):
+    # Many distinct neighbours are one step apart, but an outlier is not, some readings change by two or three steps only, and where
+    # digits are cut a reading may be written in several ways, which lie close together.
+    for start in dict.fromkeys(np.quantile(gaps, GAP_QUANTILES, method="nearest").tolist()):
         for divisor in (1.0, 2.0, 3.0):
             step = _refined(start / divisor, gaps, distinct)
             if step is not None:
@@ -30,17 +33,17 @@ def common_step(values: Array) -> float | None:
 
 def _refined(step: float, gaps: Array, distinct: Array) -> float | None:
     """Return the step that fits gaps and values best, None if more than one in a hundred is no multiple of it."""
-    range_steps = 8.0
-    while True:  # small multiples give a rough step, larger ones refine it
+    range_steps = 2.5
+    while True:  # small multiples give a rough step, larger ones refine it: printed digits may be a few per cent of a step
         within = np.concatenate([gaps[gaps < range_steps * step], distinct[distinct < range_steps * step]])
         count = np.round(within / step)
-        fits = np.abs(within / step - count) < 0.1
+        fits = np.abs(within / step - count) < STEP_TOLERANCE
         if not (count * fits).any() or np.mean(~fits) > 0.01:
             return None
         step = float(count[fits] @ within[fits] / (count[fits] @ count[fits]))
         if range_steps * step > distinct[-1]:
             return step
-        range_steps *= 4.0
+        range_steps *= 2.0
 
 
 def noise_step(values: Array) -> float:

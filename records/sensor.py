@@ -43,7 +43,7 @@ def compare_resolution(layout: Layout, raw: Raw) -> float | None:
         return found
     declared = f"[output] resolution is {layout.resolution:.4g} {layout.output_unit}"
     if found is None:
-        raw.say(f"{declared}, but the output shows no such steps: was it filtered or interpolated?")
+        raw.say(f"{declared}, but the output shows no such steps: was it filtered, interpolated or written with too few digits?")
     elif not STEP_AGREEMENT[0] < found / layout.resolution < STEP_AGREEMENT[1]:
         seen = f"the output comes in steps of {found:.4g} {layout.output_unit}"
         raw.say(f"{declared}, but {seen}; correct the resolution or the unit")
@@ -104,11 +104,12 @@ def _only_noise(u: Array, y: Array) -> bool:
 
 def repaired(layout: Layout, raw: Raw, resolution: float | None) -> bool:
     """Repair and report what output and input show of sensor and drive; return whether the position was wrapped."""
-    _repair_spikes(raw, resolution)
+    declared = resolution or layout.resolution
+    _repair_spikes(raw, declared)
     wrapped = layout.output_kind == "position" and _unwrap(layout, raw, resolution)
-    _report_frozen(raw, resolution)
+    _report_frozen(raw, declared)
     _report_limits(raw)
-    must_move(layout, raw, resolution or layout.resolution)
+    must_move(layout, raw, declared)
     return wrapped
 
 

@@ -13,6 +13,7 @@ from bristle.records import Record, Requirements
 from bristle.records.clock import must_agree
 from bristle.records.intake import must_show
 from bristle.records.layout import LayoutTable, layout_of
+from bristle.records.resolution import common_step
 
 NEEDS = Requirements(samples=200, duration=2.0, shortest_period=1e-5, longest_period=0.1, identification=True)
 read_records = partial(records.read_records, needs=NEEDS)
@@ -554,7 +555,7 @@ def test_the_resolution_is_compared_with_the_declared_one(tree):
     t, u, y = motion()
     tree["output"]["resolution"] = STEP
     assert one(from_tree(tree), t, u, counts(y)).findings == ()
-    only(one(from_tree(tree), t, u, y), "shows no such steps", "filtered or interpolated")
+    only(one(from_tree(tree), t, u, y), "shows no such steps", "filtered, interpolated or written with too few digits")
     tree["output"]["resolution"] = STEP / 4
     only(one(from_tree(tree), t, u, counts(y)), "comes in steps of 0.001534 rad", "correct the resolution or the unit")
 
@@ -565,6 +566,40 @@ def test_the_resolution_is_found(step, offset, layout):
     t, u, y = motion()
     assert one(layout, t, u, counts(y, step) + offset).resolution == pytest.approx(step, rel=1e-4)
     assert one(layout, t, u, y + offset).resolution is None
+
+
+def printed(x, digits):
+    """Return values as a file has them that is written with so many significant digits."""
+    return np.array([float(f"{value:.{digits}g}") for value in x])
+
+
+def test_the_resolution_is_found_in_few_digits():
+    """Of degrees a digit is a part of a step; a speed that is the difference of such readings is written in several ways."""
+    _, _, y = motion()
+    step = 360 / 131072
+    degrees = printed(counts(10 + 10 * y, step), 6)
+    assert len(np.unique(np.diff(np.unique(degrees)))) > 10
+    assert common_step(degrees) == pytest.approx(step, rel=1e-4)
+    count = 2 * np.pi / 20000
+    speed = np.gradient(printed(counts(0.5 * y, count), 6), 0.002) * 30 / np.pi
+    assert common_step(printed(speed, 6)) == pytest.approx(count / 0.004 * 30 / np.pi, rel=1e-3)
+
+
+def test_single_counts_of_a_slow_speed_are_no_lost_readings(tree):
+    """Nor is a slow creep a frozen reading, where the step is declared and not to be seen."""
+    tree["output"] |= {"kind": "velocity", "unit": "rpm"}
+    t, u, y = motion()
+    unit = 30 / np.pi
+    speed = printed(counts(np.gradient(y, t), 14.6484375 / unit) * unit, 5)
+    speed[::7] = np.where(speed[::7] == 14.648, 14.649, speed[::7])
+    record = one(from_tree(tree), t, u, speed / unit)
+    assert record.resolution == pytest.approx(14.6484375 / unit, rel=1e-4)
+    assert not any("jumps away" in line or "freezes" in line for line in record.findings)
+    rough = speed + 1e-3 * np.random.default_rng(0).standard_normal(len(speed))
+    tree["output"]["resolution"] = 14.6484375
+    record = one(from_tree(tree), t, u, rough / unit)
+    assert record.resolution is None
+    assert not any("jumps away" in line or "freezes" in line for line in record.findings)
 
 
 def test_the_steps_of_the_output_are_reported_once_where_the_layout_does_not_declare_them(tree):
