@@ -27,6 +27,7 @@ MOST_RIVALS = 4  # models that an input is to tell apart at most
 CLOSEST = 2  # of the effects that were tried, if none was above chance: those that are told from no effect
 MARGIN = 0.05  # of the range that was travelled: distance from its ends that a motion is to keep
 DISTURBANCES = 2  # disturbances under which each model is to keep it
+DRAWS = 3  # of the parameters of each model, which tell how far a model leads itself
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,15 @@ class _Design:
             outputs = self.outputs(u)
             if outputs is not None:
                 of = dict(zip((rival.name for rival in self.rivals), outputs, strict=True))
-                return _Trial(given.what, u, tuple(outputs), min(lead(of[a.name], u, b, self.setup) for a, b in self.pairs))
+                gain = min(lead(of[a.name], u, b, self.setup) for a, b in self.pairs)
+                return _Trial(given.what, u, tuple(outputs), max(gain - self.own_lead(u), 0.0))
         return None
+
+    def own_lead(self, u: Array) -> float:
+        """Return by how much a rival leads itself with other values that the records allow: what no difference of models is."""
+        rng = np.random.default_rng(0)
+        others = [(rival, rival.output(u, self.setup, rival.drawn(rng))) for rival in self.rivals for _ in range(DRAWS)]
+        return max((lead(y, u, rival, self.setup) for rival, y in others if y is not None), default=0.0)
 
 
 @dataclass(frozen=True)

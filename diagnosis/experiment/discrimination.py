@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,10 @@ from scipy.signal import lfilter
 
 from bristle.common.table import Array
 from bristle.diagnosis.estimation.dataset import Grid, Piece, Segments, cut
-from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, Fit, Problem, evaluate
+from bristle.diagnosis.estimation.likelihood import T_DEGREES_OF_FREEDOM, Fit, Problem, evaluate, moved
 from bristle.diagnosis.estimation.noise import Noise
+
+KNOWN_SHARE = 1e-12  # of the largest curvature: least of a direction in which parameters are drawn
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,19 @@ class Rival:
     name: str
     fit: Fit
 
-    def output(self, u: Array, setup: Setup) -> Array | None:
-        """Return its output (n,) under an input (n,) from rest; None if the simulation fails."""
+    def drawn(self, rng: np.random.Generator) -> dict[str, float]:
+        """Return values that the records cannot tell from its own: from the normal distribution that their information gives."""
+        known, axes = np.linalg.eigh(self.fit.information)
+        told = known > KNOWN_SHARE * known[-1]
+        step = axes[:, told] @ (rng.standard_normal(np.count_nonzero(told)) / np.sqrt(known[told]))
+        return moved(self.fit.free, self.fit.values, step)
+
+    def output(self, u: Array, setup: Setup, values: Mapping[str, float] | None = None) -> Array | None:
+        """Return its output (n,) under an input (n,) from rest, with its own values or others; None if the simulation fails."""
         start, seconds = np.array([[setup.start, 0.0]]), setup.grid.h * len(u)
         blank = Piece("experiment", setup.time, u, np.zeros((1, len(u))), start, np.ones((1, 2)), seconds)
         simulator = self.fit.simulator.over(Segments(setup.grid.h, 1, len(u), setup.grid.velocity, (blank,)))
-        simulated, _, good, _ = simulator.run(self.fit.values, blank.initial)
+        simulated, _, good, _ = simulator.run(self.fit.values if values is None else values, blank.initial)
         return simulated[0] if good[0] and np.isfinite(simulated).all() else None
 
 

@@ -15,7 +15,7 @@ from bristle.diagnosis.estimation.likelihood import Problem, evaluate
 from bristle.diagnosis.estimation.simulator import free_parameters
 from bristle.diagnosis.experiment.design import MARGIN, _Design, _headings
 from bristle.diagnosis.experiment.discrimination import Rival, Setup, disturbed, lead
-from bristle.diagnosis.experiment.inputs import Axis, Limits, inputs, move, varied
+from bristle.diagnosis.experiment.inputs import Axis, Input, Limits, inputs, move, varied
 from bristle.diagnosis.experiment.sentence import designed_line
 from bristle.diagnosis.report.export import write
 from bristle.diagnosis.report.result import DesignedInput, Diagnosis
@@ -120,6 +120,16 @@ def test_the_lead_is_about_what_a_record_then_gives(case: Callable[..., Any], se
     stiff = replace(other.fit, information=1e12 * np.eye(len(other.fit.free)))  # parameters that may not move
     expected, found = lead(clean, u, Rival(other.name, stiff), setup), likelihood(truth) - likelihood(other)
     assert 0.5 * expected < found < 2.0 * expected
+
+
+def test_models_that_are_the_same_are_told_apart_by_no_input(case: Callable[..., Any], setup: Setup) -> None:
+    """A friction that differs by direction is Coulomb friction and a constant torque, at rest too; dead time is not."""
+    friction = case("bias").base.fit.values["coulomb.Fc"]
+    bias = rival(case("bias"), "bias", torque=-0.2 * friction)
+    same, late = rival(case("bias"), "asymmetric_coulomb", share=0.2), rival(case("bias"), "input_delay", delay=0.01)
+    given, wide = Input("sines", (sines(0.3),)), Limits((-9.0, 9.0), (-1e3, 1e3), 9.0)
+    gains = [trial.gain for other in (same, late) if (trial := _Design((bias, other), wide, setup).tried(given))]
+    assert gains[0] < 1.0 < 30.0 < gains[1]
 
 
 def test_what_leaves_the_limits_with_a_rival_is_not_taken(case: Callable[..., Any], setup: Setup) -> None:
