@@ -76,6 +76,8 @@ class Condition:
         Friction of the model file, whose own parameters `given` returns from J, a2 and Fc.
     friction : function
         Fields of the true friction, from the scene's base.
+    controls : bool
+        Whether it has controls.
     """
 
     says: str
@@ -84,6 +86,7 @@ class Condition:
     law: str = "coulomb"
     given: Callable[[dict[str, float]], dict[str, float]] = lambda base: {}
     friction: Callable[[dict[str, float]], dict[str, float]] = lambda base: {}
+    controls: bool = True
 
 
 CONDITIONS = {
@@ -99,7 +102,7 @@ CONDITIONS = {
     "Dahl law": Condition(
         "true friction and model have bristles that yield over 2 mrad", law="dahl",
         given=lambda base: {"sigma0": base["Fc"] / (1.5 * YIELD)},
-        friction=lambda base: {"sigma0": base["Fc"] / YIELD, "sigma1": 0.0},
+        friction=lambda base: {"sigma0": base["Fc"] / YIELD, "sigma1": 0.0}, controls=False,
     ),
 }  # fmt: skip
 
@@ -129,7 +132,7 @@ def model_of(condition: Condition, given: dict[str, float]) -> str:
     return model_text(given | own).replace('"coulomb"', f'"{condition.law}"')
 
 
-def elsewhere_specs(count: int, place: int) -> list[Spec]:
+def elsewhere_specs(count: int, place: int, with_controls: bool) -> list[Spec]:
     """Return the cases of a condition: other effects in each, in turn."""
     names = [name for name in forms.EFFECTS if name not in OF_FRICTION]
     controls = [
@@ -139,7 +142,8 @@ def elsewhere_specs(count: int, place: int) -> list[Spec]:
         Spec(0, ("same", "other")[k % 2], "single", (names[(k + 5 * place) % len(names)],), ("same", "other")[k % 2], STRONG)
         for k in range(count - len(controls))
     ]
-    return [replace(spec, index=100 * place + k) for k, spec in enumerate([*controls, *singles], 1)]
+    planned = [replace(spec, index=100 * place + k) for k, spec in enumerate([*controls, *singles], 1)]
+    return planned if with_controls else planned[len(controls) :]
 
 
 def make(name: str, spec: Spec, out: Path, target: Path) -> None:
@@ -172,8 +176,8 @@ def main() -> None:
     given = parser.parse_args()
     (given.out / "results").mkdir(parents=True, exist_ok=True)
     lines = []
-    for place, name in enumerate(CONDITIONS):
-        plan = elsewhere_specs(given.cases, place)
+    for place, (name, condition) in enumerate(CONDITIONS.items()):
+        plan = elsewhere_specs(given.cases, place, condition.controls)
         if not given.finished:
             calls = [(name, spec, given.out, given.out / "results" / f"{spec.index:05d}.json") for spec in plan]
             run.go_on(make, calls, given.jobs, name)
@@ -197,7 +201,7 @@ catalogue, and controls without an effect, from the generator of the blind test 
 
 Named right: exactly the class of what is hidden. So few cases give no bound on an error rate: of 6 right ones of 6, the
 one-sided 95 % bound of Clopper and Pearson is 61 %. Effects differ from line to line, so lines are not to be compared with each
-other.
+other. The Dahl law has no controls: in 24 draws none came as near to the model as a control of the blind test is.
 """
 
 
