@@ -27,7 +27,8 @@ def unnamed_torque(case: Case, found: Conclusion) -> answer.UnnamedTorque | None
     curves: list[Curve] = []
     refused: tuple[Curve, float] | None = None
     while len(curves) < MOST_CURVES and (filled := fill(dataset, model)) is not None:
-        falls = fall_in_all(filled.before, filled.after)
+        whole = [mean_square(each.fit, dataset.held_out) for each in (model, filled.fitted)]
+        falls = min(fall_in_all(filled.before, filled.after), whole[0] / max(whole[1], 1e-300))
         if falls < LEAST_FALL:
             refused = filled.curve, falls
             break
@@ -53,7 +54,8 @@ def _reason(refused: tuple[Curve, float] | None) -> str:
     """Return why nothing is offered."""
     if refused is None:
         return "no smooth function of velocity, position, input or time predicts anything of it in segments left out of the fit"
-    return (
-        f"the best function, of {view_name(refused[0].variable)}, lowers the squared error on held-out segments by a factor of "
-        f"{math.floor(100 * refused[1]) / 100:.2f} only, and {LEAST_FALL:g} is asked"
-    )
+    best = f"the best function, of {view_name(refused[0].variable)},"
+    if refused[1] <= 1.0:
+        return f"{best} does not lower the squared error on held-out segments"
+    factor = math.floor(100 * refused[1]) / 100
+    return f"{best} lowers the squared error on held-out segments by a factor of {factor:.2f} only, and {LEAST_FALL:g} is asked"

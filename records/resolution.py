@@ -8,7 +8,7 @@ import numpy as np
 
 from bristle.common.table import Array
 
-STEP_TOLERANCE = 0.15  # steps: deviation from a whole number of steps that cut digits may cause
+MULTIPLE_TOLERANCE = 0.15  # steps: deviation from a whole number of steps that cut digits may cause
 GAP_QUANTILES = (0.9, 0.5, 0.0)  # of the distances between distinct values: where their step is looked for, coarse first
 NOISE_ORDER = 5  # of the differences of neighbours, in which noise is left and the motion of a servo is not
 
@@ -37,7 +37,7 @@ def _refined(step: float, gaps: Array, distinct: Array) -> float | None:
     while True:  # small multiples give a rough step, larger ones refine it: printed digits may be a few per cent of a step
         within = np.concatenate([gaps[gaps < range_steps * step], distinct[distinct < range_steps * step]])
         count = np.round(within / step)
-        fits = np.abs(within / step - count) < STEP_TOLERANCE
+        fits = np.abs(within / step - count) < MULTIPLE_TOLERANCE
         if not (count * fits).any() or np.mean(~fits) > 0.01:
             return None
         step = float(count[fits] @ within[fits] / (count[fits] @ count[fits]))

@@ -83,10 +83,10 @@ class Judged:
     @property
     def doubted(self) -> bool:
         """Whether the report's heading is not green, by what the result says: a flag, records that do not agree, a strength that is
-        not known, or whole records that are farther from the model than before."""
+        not known, or whole records whose squared error is larger by a fifth than before."""
         agreement = self.result.get("agreement") or {"holds": True}
         horizons = (self.result.get("whole_record") or {}).get("horizons") or []
-        worse = bool(horizons) and (horizons[-1]["after"] or math.inf) > (horizons[-1]["before"] or math.inf)
+        worse = bool(horizons) and (horizons[-1]["after"] or math.inf) ** 2 > 1.2 * (horizons[-1]["before"] or math.inf) ** 2
         unknown = any(_reach(effect) >= UNKNOWN for effect in self.result["effects"])
         return self.flagged or not agreement["holds"] or unknown or worse
 

@@ -140,15 +140,15 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
     return found
 
 
-def strength_is_known(fit: Fit, problem: Problem, name: str) -> bool:
-    """Return whether the strength of an effect, or its free play, is known to within `STRENGTH_HALF_WIDTH`."""
+def strength_is_known(fit: Fit, problem: Problem, name: str, share: float = STRENGTH_HALF_WIDTH) -> bool:
+    """Return whether the strength of an effect, or its free play, is known to within this share of its value."""
     strength = find_effect(name).decisive.name
     places = [k for k, f in enumerate(fit.free) if f.name == strength]
     if not places:
         return True
     f, (low, high) = fit.free[places[0]], intervals(fit, problem)[places[0]]
     ends = float(max(low, f.low)), float(min(high, f.high))
-    return Estimate(fit.values[strength], "", ends, f.at_bound(fit.values[strength])).known_within(STRENGTH_HALF_WIDTH)
+    return Estimate(fit.values[strength], "", ends, f.at_bound(fit.values[strength])).known_within(share)
 
 
 def _has_edges(parameter: str) -> bool:

@@ -27,7 +27,7 @@ MOST_RIVALS = 4  # models that an input is to tell apart at most
 CLOSEST = 2  # of the effects that were tried, if none was above chance: those that are told from no effect
 MARGIN = 0.05  # of the range that was travelled: distance from its ends that a motion is to keep
 DISTURBANCES = 2  # disturbances under which each model is to keep it
-DRAWS = 3  # of the parameters of each model, which tell how far a model leads itself
+OWN_DRAWS = 3  # of the parameters of each model, which tell how far a model leads itself
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class _Design:
     def own_lead(self, u: Array) -> float:
         """Return by how much a rival leads itself with other values that the records allow: what no difference of models is."""
         rng = np.random.default_rng(0)
-        others = [(rival, rival.output(u, self.setup, rival.drawn(rng))) for rival in self.rivals for _ in range(DRAWS)]
+        others = [(rival, rival.output(u, self.setup, rival.drawn(rng))) for rival in self.rivals for _ in range(OWN_DRAWS)]
         return max((lead(y, u, rival, self.setup) for rival, y in others if y is not None), default=0.0)
 
 

@@ -17,6 +17,7 @@ from bristle.diagnosis.localisation.unexplained import Unexplained
 from bristle.diagnosis.localisation.unnamed_torque import Curve
 from bristle.diagnosis.localisation.views import View as View
 from bristle.diagnosis.modelfile import Model
+from bristle.diagnosis.selection.effect_size import LEAST_FALL
 from bristle.plant.effects import effect as find_effect
 
 Array = NDArray[np.float64]
@@ -177,8 +178,8 @@ class WholeRecords:
 
     @property
     def worse(self) -> bool:
-        """True if the model after the search is farther from whole records than the one before."""
-        return self.horizons[-1].after > self.horizons[-1].before
+        """True if the squared error of the model after the search over whole records is larger by as much as an effect must lower it."""
+        return self.horizons[-1].after ** 2 > LEAST_FALL * self.horizons[-1].before ** 2
 
     @property
     def refitted(self) -> bool:

@@ -281,10 +281,13 @@ def unnamed_line(found: UnnamedTorque, wording: Wording) -> str:
 def _at_bounds(parameters: Mapping[str, Estimate]) -> Iterator[str]:
     """Give a line each on parameters of the model and of effects that end at a bound; only the former have one in [bounds]."""
     stuck = [name for name, estimate in parameters.items() if estimate.at_bound]
-    own = [name for name in stuck if name.split(".")[0] not in all_effects()]
+    absent = [name for name in stuck if parameters[name].value == 0.0]
+    own = [name for name in stuck if name.split(".")[0] not in all_effects() and name not in absent]
+    if absent:
+        yield f"The refit of {', '.join(absent)} ends at 0: these records show none of it."
     if own:
         yield f"The refit of {', '.join(own)} ends at a bound: widen it in [bounds], or check units and signs."
-    if others := [name for name in stuck if name not in own]:
+    if others := [name for name in stuck if name not in (*own, *absent)]:
         limit = "ends at the limit of its interval: that is a limit, not an estimate"
         yield f"{', '.join(others)} {limit}; the effect may stand in for another one."
 

@@ -44,6 +44,7 @@ from bristle.plant.effects import effects as all_effects
 MOST_EFFECTS = 4  # most effects that are added
 STRUCTURE_P = 0.05  # p of a view of the residual up to which another round follows
 NATS_PER_PARAMETER = 3.3  # nats: least gain beyond the end of an interval that presses against it (1 % level of a likelihood ratio)
+ANY_STRENGTH = 1.0  # from the strength of an effect to an end of its interval, over the strength, which must be less: 0 is outside
 NOT_EXHAUSTIVE = "effects were tried from their best start values only"
 CERTAIN_LEVELS = 10.0  # times the null's level: least gain of an effect with parameters that are hardly credible
 
@@ -135,7 +136,7 @@ def propose_effect(context: SearchContext, names: Sequence[str], effort: Effort,
 
 
 def decide(context: SearchContext, found: SearchRound, further: bool = False) -> SearchRound:
-    """Return a round with the decision on its best candidate; of a `further` one the strength must be known."""
+    """Return a round with the decision on its best candidate; its strength must not be nothing, and of a `further` one be known."""
     if not found.assessment.accepted:
         found = retry_with_shape(context, found)
     assert found.best is not None
@@ -157,8 +158,11 @@ def decide(context: SearchContext, found: SearchRound, further: bool = False) ->
         ends = " and ".join(f"{key} at {found.best.fit.values[key]:.3g}" for key in pressed)
         why = f"'{name}' would explain most with {ends}, the end of what it can be: it stands in for something else"
         return replace(found, decision=why, outcome="limit", ties=())
-    if further and not strength_is_known(found.best.fit, context.own_noise(found.best.fit), name):
+    noise = context.own_noise(found.best.fit)
+    if further and not strength_is_known(found.best.fit, noise, name):
         return found.rejected(f"'{name}' is significant, but beside what was found its strength is not known")
+    if not strength_is_known(found.best.fit, noise, name, share=ANY_STRENGTH):
+        return found.rejected(f"'{name}' is significant, but its strength may be nothing")
     return replace(found, decision=f"'{name}' added", outcome="added")
 
 

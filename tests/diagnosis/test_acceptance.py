@@ -479,16 +479,18 @@ def test_a_coupling_that_the_model_has_keeps_its_usual_form(case, exponent, move
 
 
 def test_a_further_effect_is_added_only_where_its_strength_is_known(case, monkeypatch, search_among):
-    """The first one is, too, where it is not: that is said in the headline."""
+    """The first one is, too, where it is not, but not nothing: that is said in the headline."""
     made = case("gravity")
     search_among("gravity", "bias")
     context = SearchContext(made.dataset, made.base, SearchOptions())
     outcomes = {}
-    for known in (True, False):
-        monkeypatch.setattr(stepwise, "strength_is_known", lambda *_, known=known: known)
+    for reach in (0.3, 0.7, 1.5):  # of the interval, over the strength
+        monkeypatch.setattr(stepwise, "strength_is_known", lambda *_, share=0.5, reach=reach: reach < share)
         for further in (True, False):
-            outcomes[known, further] = propose_effect(context, ["gravity", "bias"], QUICK, further).outcome
-    assert outcomes == {(True, True): "added", (True, False): "added", (False, True): "rejected", (False, False): "added"}
+            outcomes[reach, further] = propose_effect(context, ["gravity", "bias"], QUICK, further).outcome
+    assert [reach for (reach, further), outcome in outcomes.items() if further and outcome == "added"] == [0.3]
+    assert [reach for (reach, further), outcome in outcomes.items() if not further and outcome == "added"] == [0.3, 0.7]
+    assert {outcome for outcome in outcomes.values() if outcome != "added"} == {"rejected"}
 
 
 @pytest.mark.parametrize(

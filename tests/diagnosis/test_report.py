@@ -218,6 +218,21 @@ def test_an_effect_whose_strength_is_not_known_is_not_enough(answer):
     assert line in statement(Facts("named", named.gap, named.remains, (loose,)))
 
 
+def test_a_parameter_that_ends_at_0_is_absent_and_no_bound_to_widen(answer):
+    named = answer("named")
+    for value, said in ((0.0, "The refit of a2 ends at 0: these records show none of it."), (0.2, "The refit of a2 ends at a bound: widen")):
+        lines = statement(Facts("named", named.gap, named.remains, named.effects, parameters={"a2": Estimate(value, "1", None, True)}))
+        assert [line for line in lines if "a2" in line and line.startswith(said)]
+        assert len([line for line in lines if "a2" in line]) == 1
+
+
+def test_a_model_is_worse_over_whole_records_by_as_much_as_an_effect_must_be_better(answer):
+    whole = answer("named").whole
+    last = whole.horizons[-1]
+    for factor, worse in ((1.05, False), (1.15, True)):
+        assert replace(whole, horizons=(replace(last, after=factor * last.before),)).worse is worse
+
+
 def test_what_an_open_tie_would_explain_is_not_said_to_be_explained_by_nothing(answer):
     tie, left = answer("tie"), Unexplained(True, "theta", 0.54)
     without = "Unexplained residual: 54 % of the residual can be predicted from position, with none of the tied effects added."

@@ -157,3 +157,4 @@ def test_it_can_be_asked_for_where_nothing_is_named_but_not_beside_a_choice(answ
 def test_a_fall_that_is_too_small_is_not_rounded_to_the_one_that_is_asked():
     curve = Curve("v", -1.0, 1.0, np.zeros(UNNAMED_KNOTS), np.ones(UNNAMED_KNOTS))
     assert "by a factor of 1.19 only, and 1.2 is asked" in _reason((curve, 1.1999))
+    assert _reason((curve, 0.7)).endswith("does not lower the squared error on held-out segments")
