@@ -22,6 +22,7 @@ from bristle.diagnosis.checks.torque_regression import Regression, Rows, explain
 from bristle.diagnosis.modelfile import Model, own_unit
 from bristle.plant.servo import A2, J
 from bristle.records.choice import Candidate, Files, candidates, fitted
+from bristle.records.differences import are_differences
 from bristle.records.intake import distinct_files, records_of_tables
 from bristle.records.layout import Layout, LayoutTable, layout_of
 from bristle.records.record import Record
@@ -69,6 +70,8 @@ class Proposal:
         Share of the input that J, a2 and Fc explain.
     excitation : dict
         What the records excite, as a diagnosis reports it.
+    differences : bool
+        Whether the output is a velocity that is the difference of a position's readings; the records hold that position then.
     """
 
     paths: tuple[Path, ...]
@@ -81,6 +84,7 @@ class Proposal:
     records: tuple[Record, ...]
     explained: float
     excitation: Mapping[str, Any]
+    differences: bool
 
 
 @dataclass(frozen=True)
@@ -151,7 +155,7 @@ def propose(
     said = (*times[0].doubts, *best.input.doubts, *best.output.doubts, *doubts, *sign_doubt, *rough_doubts, *_one_sign(best))
     return Proposal(
         tuple(listed), times[0], best.input, best.output, others, rough, tuple(dict.fromkeys(said)), tuple(best.records),
-        best.share, excitation(model, best.records),
+        best.share, excitation(model, best.records), best.layout.differences,
     )  # fmt: skip
 
 
@@ -240,6 +244,9 @@ def _reading(tables: Mapping[Path, Columns], time: Candidate, u: Candidate, y: C
     u = fitted(u, y.linear)
     layout = _layout(time, u, y)
     records = records_of_tables(layout, tables.items(), list(tables), NEEDS)
+    if layout.output_kind == "velocity" and all(are_differences(r.y, r.resolution) for r in records):
+        layout = replace(layout, output_kind="position", differences=True)
+        records = records_of_tables(layout, tables.items(), list(tables), NEEDS)
     rows = regression_rows([(r.u, r.y) for r in records], records, layout.output_kind == "velocity")
     if rows is None:
         return _Reading(u, y, layout, records, rows, 0.0, 0.0)

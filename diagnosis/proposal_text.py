@@ -69,7 +69,9 @@ def model_text(found: Proposal, command: str) -> str:
     for role in ("time", "input", "output"):
         candidate: Candidate = getattr(found, role)
         lines += ["", f"[{role}]", *_declaration(candidate)]
-        if role == "output":
+        if role == "output" and found.differences:
+            lines.append(_with("differences = true", "of the readings of a position: it is summed to that"))
+        elif role == "output":
             shown = resolution_of(found)
             lines.append(f"resolution = {shown[1]}" if shown else "# resolution: the output shows no steps")
         for other in found.others[role]:
@@ -113,6 +115,7 @@ def summary(found: Proposal) -> list[str]:
     linear = found.output.linear
     shown = resolution_of(found)
     steps = f", in steps of {shown[1]}" if shown else ", without steps"
+    steps = ", as differences of a position's readings: it is summed to that" if found.differences else steps
     lines = [
         f"time    {_of(found.time)}, every {1e3 * first.h:.4g} ms{_or(found, 'time')}",
         f"input   {_of(found.input)}, {found.input.kind}{_or(found, 'input')}",

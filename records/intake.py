@@ -14,6 +14,7 @@ from bristle.common.arguments import as_paths
 from bristle.common.errors import BristleError
 from bristle.common.table import Array, Columns, read_columns, si_column
 from bristle.records.clock import clock, increasing, one_rate, period_of
+from bristle.records.differences import summed
 from bristle.records.layout import Layout
 from bristle.records.record import COLUMN_NAMES, Raw, Record, vectors
 from bristle.records.resolution import common_step
@@ -127,7 +128,7 @@ def records_from_arrays(
     layout : Layout
         What the arrays are; its column names and units are not used.
     arrays : iterable of (name, time, u, y)
-        Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`.
+        Arrays of shape (n,) in SI: seconds, the layout's `input_unit` and `output_unit`, or velocities if it says `differences`.
     needs : Requirements
         What the records must have; `BristleError` says what one lacks.
     """
@@ -322,6 +323,8 @@ def _pieces(layout: Layout, raw: Raw, needs: Requirements) -> list[Record]:
     if len(raw.time) < needs.samples:
         raise raw.error(f"{len(raw.time)} samples; at least {needs.samples} are needed: record longer")
     h = period_of(raw, needs.shortest_period, needs.longest_period)
+    if layout.differences:
+        raw.y = summed(raw.y, h)
     resolution = compare_resolution(layout, raw)
     wrapped = needs.identification and repaired(layout, raw, resolution)
     borders = (np.flatnonzero(np.diff(raw.time) > GAP_INTERVALS * h) + 1).tolist()

@@ -40,6 +40,8 @@ class OutputTable(Column):
     """What the output is."""
     resolution: str | float | None = None
     """Smallest step of the output, in the column's unit or with a unit."""
+    differences: bool = False
+    """Whether a velocity is the difference of two readings of a position over a sampling period; it is summed to that."""
 
 
 class LayoutTable(Section):
@@ -72,6 +74,8 @@ class Layout:
         A linear axis: kg, m and N in place of kg.m2, rad and N.m.
     velocity : Column or None
         A velocity that was recorded besides the position.
+    differences : bool
+        Whether the column of the output holds the differences of a position, as a velocity.
     """
 
     time: Column
@@ -82,6 +86,7 @@ class Layout:
     resolution: float | None = None
     linear: bool = False
     velocity: Column | None = None
+    differences: bool = False
 
     @property
     def input_unit(self) -> str:
@@ -96,7 +101,8 @@ class Layout:
     @property
     def columns(self) -> dict[str, tuple[Column, str]]:
         """Column and SI unit of time, input, output and, where it was recorded besides the output, velocity."""
-        found = {"time": (self.time, "s"), "input": (self.input, self.input_unit), "output": (self.output, self.output_unit)}
+        read = _output_unit("velocity" if self.differences else self.output_kind, self.linear)
+        found = {"time": (self.time, "s"), "input": (self.input, self.input_unit), "output": (self.output, read)}
         return found if self.velocity is None else {**found, "velocity": (self.velocity, _output_unit("velocity", self.linear))}
 
 
@@ -109,12 +115,17 @@ def layout_of(table: LayoutTable, where: Path | str, prefix: str = "", velocity:
 
     An error is one line that begins with the file, `where`; `prefix` precedes the names of the tables in it ("record.").
     """
-    linear = _is_linear(table, where, prefix)
+    linear, differences = _is_linear(table, where, prefix), table.output.differences
+    if differences and table.output.kind == "position":
+        raise mistake(where, f"{prefix}output.differences", True, 'only a velocity is one of readings; write kind = "velocity"')
+    if differences and table.output.resolution is not None:
+        said = "the step of the position follows from the velocities; leave it out"
+        raise mistake(where, f"{prefix}output.resolution", table.output.resolution, said)
     layout = Layout(
         time=_column(table.time), input=_column(table.input), input_kind=table.input.kind,
-        output=_column(table.output), output_kind=table.output.kind, linear=linear,
+        output=_column(table.output), output_kind="position" if differences else table.output.kind, linear=linear,
         resolution=_resolution(table.output, where, prefix, linear),
-        velocity=None if velocity is None else _column(velocity),
+        velocity=None if velocity is None else _column(velocity), differences=differences,
     )  # fmt: skip
     if velocity is not None and table.output.kind == "velocity":
         raise mistake(where, f"{prefix}output.kind", "velocity", f"[{prefix}velocity] is given as well; remove one of them")
@@ -179,8 +190,11 @@ def layout_lines(layout: Layout) -> list[str]:
     """Return the lines of a TOML file that read back as this layout."""
     lines = ["[time]", *_column_lines(layout.time)]
     lines += ["", "[input]", *_column_lines(layout.input), f"kind = {quoted(layout.input_kind)}"]
-    lines += ["", "[output]", *_column_lines(layout.output), f"kind = {quoted(layout.output_kind)}"]
-    if layout.resolution is not None:
+    kind = "velocity" if layout.differences else layout.output_kind
+    lines += ["", "[output]", *_column_lines(layout.output), f"kind = {quoted(kind)}"]
+    if layout.differences:
+        lines.append("differences = true")
+    if layout.resolution is not None and not layout.differences:
         lines.append(f'resolution = "{float(layout.resolution)!r} {layout.output_unit}"')
     return lines if layout.velocity is None else [*lines, "", "[velocity]", *_column_lines(layout.velocity)]
 

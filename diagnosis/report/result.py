@@ -178,7 +178,7 @@ class WholeRecords:
 
     @property
     def worse(self) -> bool:
-        """True if the squared error of the model after the search over whole records is larger by as much as an effect must lower it."""
+        """True if the squared error over whole records is larger after the search, by as much as an effect must lower it."""
         return self.horizons[-1].after ** 2 > LEAST_FALL * self.horizons[-1].before ** 2
 
     @property
