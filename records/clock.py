@@ -63,7 +63,7 @@ def clock(raw: Raw) -> tuple[Array, float, bool]:
     h = float(grid[-1] - grid[0]) / (n - 1)
     if np.max(np.abs(steps - h)) <= UNIFORM_TOLERANCE * h:
         return grid, h, False
-    digit = common_step(raw.time)
+    digit = common_step(raw.time, finest=True)
     slope, start = np.polyfit(np.arange(n), raw.time - raw.time[0], 1)
     line = raw.time[0] + start + slope * np.arange(n)
     if digit is not None and digit < PRINTED_STEP * h and np.max(np.abs(raw.time - line)) <= PRINTED_DEVIATION * digit:

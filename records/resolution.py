@@ -13,8 +13,11 @@ GAP_QUANTILES = (0.9, 0.5, 0.0)  # of the distances between distinct values: whe
 NOISE_ORDER = 5  # of the differences of neighbours, in which noise is left and the motion of a servo is not
 
 
-def common_step(values: Array) -> float | None:
-    """Return the step of which nearly all values, counted from the smallest, are multiples; None if there is none."""
+def common_step(values: Array, finest: bool = False) -> float | None:
+    """Return the step of which nearly all values, counted from the smallest, are multiples; None if there is none.
+
+    The coarsest such step is that of a sensor; the `finest` is that of the digits in which it is written.
+    """
     distinct = np.unique(values)
     distinct = distinct - distinct[0]
     gaps = np.diff(distinct)
@@ -23,17 +26,18 @@ def common_step(values: Array) -> float | None:
         return None
     # Many distinct neighbours are one step apart, but an outlier is not, some readings change by two or three steps only, and where
     # digits are cut a reading may be written in several ways, which lie close together.
-    for start in dict.fromkeys(np.quantile(gaps, GAP_QUANTILES, method="nearest").tolist()):
+    starts = np.quantile(gaps, GAP_QUANTILES[::-1] if finest else GAP_QUANTILES, method="nearest")
+    for start in dict.fromkeys(starts.tolist()):
         for divisor in (1.0, 2.0, 3.0):
-            step = _refined(start / divisor, gaps, distinct)
+            step = _refined(start, divisor, gaps, distinct)
             if step is not None:
                 return step
     return None
 
 
-def _refined(step: float, gaps: Array, distinct: Array) -> float | None:
-    """Return the step that fits gaps and values best, None if more than one in a hundred is no multiple of it."""
-    range_steps = 2.5
+def _refined(gap: float, parts: float, gaps: Array, distinct: Array) -> float | None:
+    """Return the step near a part of a gap that fits gaps and values best; None if one in a hundred is no multiple of it."""
+    step, range_steps = gap / parts, 2.5 * parts
     while True:  # small multiples give a rough step, larger ones refine it: printed digits may be a few per cent of a step
         within = np.concatenate([gaps[gaps < range_steps * step], distinct[distinct < range_steps * step]])
         count = np.round(within / step)

@@ -585,6 +585,16 @@ def test_the_resolution_is_found_in_few_digits():
     assert common_step(printed(speed, 6)) == pytest.approx(count / 0.004 * 30 / np.pi, rel=1e-3)
 
 
+def test_the_resolution_is_found_in_few_values_and_the_digits_of_a_time_in_spite_of_its_period():
+    values = 1e-5 * np.cumsum(np.random.default_rng(2).integers(3, 2000, 300))
+    values[1] = values[0] + 3e-5
+    assert common_step(values) == pytest.approx(1e-5, rel=1e-6)
+    time = 1e-3 * np.arange(5000)
+    time[1::300] += 1e-4  # fewer than one in a hundred
+    assert common_step(time, finest=True) == pytest.approx(1e-4, rel=1e-6)
+    assert common_step(time) == pytest.approx(1e-3, rel=1e-4)
+
+
 def test_single_counts_of_a_slow_speed_are_no_lost_readings(tree):
     """Nor is a slow creep a frozen reading, where the step is declared and not to be seen."""
     tree["output"] |= {"kind": "velocity", "unit": "rpm"}
