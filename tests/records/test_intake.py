@@ -590,7 +590,7 @@ def test_the_resolution_is_found_in_few_values_and_the_digits_of_a_time_in_spite
     values[1] = values[0] + 3e-5
     assert common_step(values) == pytest.approx(1e-5, rel=1e-6)
     time = 1e-3 * np.arange(5000)
-    time[1::300] += 1e-4  # fewer than one in a hundred
+    time[1::300] += 7e-4  # fewer than one in a hundred
     assert common_step(time, finest=True) == pytest.approx(1e-4, rel=1e-6)
     assert common_step(time) == pytest.approx(1e-3, rel=1e-4)
 
