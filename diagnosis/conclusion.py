@@ -14,7 +14,7 @@ from bristle.diagnosis.estimation.fitted_model import FittedModel, disturbance_r
 from bristle.diagnosis.estimation.likelihood import Fit, errors, mean_square, squares
 from bristle.diagnosis.estimation.optimiser import refit_nonsmooth, resume
 from bristle.diagnosis.estimation.simulator import Free
-from bristle.diagnosis.estimation.uncertainty import estimates
+from bristle.diagnosis.estimation.uncertainty import ANY_STRENGTH, estimates
 from bristle.diagnosis.localisation.residual_localisation import localise
 from bristle.diagnosis.localisation.unexplained import FinalModel, Unexplained, unexplained
 from bristle.diagnosis.localisation.views import Share
@@ -25,7 +25,7 @@ from bristle.diagnosis.selection.candidates import Candidate
 from bristle.diagnosis.selection.criterion import SearchRound, group
 from bristle.diagnosis.selection.detection_limit import detection_limits
 from bristle.diagnosis.selection.effect_size import fall_in_all
-from bristle.diagnosis.selection.stepwise import SearchOutcome
+from bristle.diagnosis.selection.stepwise import SearchOutcome, stands_in
 from bristle.plant.effects import effect as find_effect
 from bristle.records.record import Record
 
@@ -141,6 +141,17 @@ def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
         {} if proposal else {c.name: estimates(case.model, c.fit) for c in choices_of(rounds, undecided, named) if c.fit},
         proposal,
     )  # fmt: skip
+
+
+def may_be_nothing(c: Conclusion) -> bool:
+    """Return whether effects are named of which no strength is known to differ from 0."""
+    return bool(c.effects) and not any(e.known_within(ANY_STRENGTH) for e in c.effects)
+
+
+def without_effects(case: Case, outcome: SearchOutcome, c: Conclusion) -> SearchOutcome:
+    """Return an outcome in which the effects of a conclusion stand in for something else that is missing."""
+    first = replace(outcome.rounds[0], outcome="limit", ties=(), decision=stands_in([e.name for e in c.effects]))
+    return replace(outcome, final=case.base, rounds=(first,))
 
 
 def _after_withdrawal(case: Case, outcome: SearchOutcome, proposal: str) -> tuple[FittedModel, tuple[SearchRound, ...], Comparison]:

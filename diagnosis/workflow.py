@@ -16,7 +16,16 @@ from bristle.diagnosis.checks.excitation import excitation
 from bristle.diagnosis.checks.input_hold import with_input_share
 from bristle.diagnosis.checks.plausibility import Plausibility, check
 from bristle.diagnosis.checks.records import must_show
-from bristle.diagnosis.conclusion import NOTHING_LEFT, Additions, Case, Conclusion, as_diagnosis, conclude
+from bristle.diagnosis.conclusion import (
+    NOTHING_LEFT,
+    Additions,
+    Case,
+    Conclusion,
+    as_diagnosis,
+    conclude,
+    may_be_nothing,
+    without_effects,
+)
 from bristle.diagnosis.experiment.design import design
 from bristle.diagnosis.experiment.sentence import designed_line
 from bristle.diagnosis.filling import unnamed_torque, with_unnamed_torque
@@ -119,6 +128,10 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         case = prepared.case
         refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
         refitted, whole = refit or refit_to_whole_records(case, found, refit=False)
+        if may_be_nothing(refitted):
+            found = conclude(case, without_effects(case, outcome, refitted))
+            refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
+            refitted, whole = refit or refit_to_whole_records(case, found, refit=False)
         more = prepared.additions(found)
         fill = in_time(REFIT_SHARE, lambda: [unnamed_torque(case, found)])
         agree = in_time(REFIT_SHARE, lambda: [agreement(case, found)])

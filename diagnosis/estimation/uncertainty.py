@@ -22,6 +22,7 @@ PARABOLA_TRIALS = 6  # evaluations for each coefficient of the parabola through 
 CONTACT_SPREAD = 0.05  # relative: spread of these evaluations if a load has free play
 RECORD_BLOCKS = 4  # parts of a stretch of a record whose scores count as independent
 STRENGTH_HALF_WIDTH = 0.5  # from the strength of an effect to an end of its interval, over the strength, which must be less
+ANY_STRENGTH = 1.0  # the same of one that must not be nothing: 0 is outside its interval
 WIDEST_HALF_INTERVAL = 1.0  # factor of e, or s: widest half interval that the parabola gives
 
 

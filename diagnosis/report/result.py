@@ -37,8 +37,12 @@ class Named:
     @property
     def known(self) -> bool:
         """True if its strength, or its free play, is known; otherwise it may stand in for something else."""
+        return self.known_within(STRENGTH_HALF_WIDTH)
+
+    def known_within(self, share: float) -> bool:
+        """Return whether its strength, or its free play, is known to within this share of its value, or given."""
         strength = self.parameters.get(find_effect(self.name).decisive.name.removeprefix(f"{self.name}."))
-        return strength is None or strength.known_within(STRENGTH_HALF_WIDTH)
+        return strength is None or strength.known_within(share)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.optimiser import pressed_bounds
-from bristle.diagnosis.estimation.uncertainty import strength_is_known
+from bristle.diagnosis.estimation.uncertainty import ANY_STRENGTH, strength_is_known
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
 from bristle.diagnosis.selection.candidates import (
     EXHAUSTIVE,
@@ -44,7 +44,6 @@ from bristle.plant.effects import effects as all_effects
 MOST_EFFECTS = 4  # most effects that are added
 STRUCTURE_P = 0.05  # p of a view of the residual up to which another round follows
 NATS_PER_PARAMETER = 3.3  # nats: least gain beyond the end of an interval that presses against it (1 % level of a likelihood ratio)
-ANY_STRENGTH = 1.0  # from the strength of an effect to an end of its interval, over the strength, which must be less: 0 is outside
 NOT_EXHAUSTIVE = "effects were tried from their best start values only"
 CERTAIN_LEVELS = 10.0  # times the null's level: least gain of an effect with parameters that are hardly credible
 
@@ -162,8 +161,14 @@ def decide(context: SearchContext, found: SearchRound, further: bool = False) ->
     if further and not strength_is_known(found.best.fit, noise, name):
         return found.rejected(f"'{name}' is significant, but beside what was found its strength is not known")
     if not strength_is_known(found.best.fit, noise, name, share=ANY_STRENGTH):
-        return found.rejected(f"'{name}' is significant, but its strength may be nothing")
+        return replace(found, decision=stands_in([name]), outcome="limit", ties=())
     return replace(found, decision=f"'{name}' added", outcome="added")
+
+
+def stands_in(names: Sequence[str]) -> str:
+    """Return why effects of which no strength is known are not named."""
+    effects, it = " and ".join(f"'{name}'" for name in names), "it stands" if len(names) == 1 else "they stand"
+    return f"{effects} would explain most, but with a strength that may be nothing: {it} in for something else"
 
 
 def evaluate_candidates(context: SearchContext, names: Sequence[str], effort: Effort = QUICK) -> SearchRound:

@@ -490,7 +490,9 @@ def test_a_further_effect_is_added_only_where_its_strength_is_known(case, monkey
             outcomes[reach, further] = propose_effect(context, ["gravity", "bias"], QUICK, further).outcome
     assert [reach for (reach, further), outcome in outcomes.items() if further and outcome == "added"] == [0.3]
     assert [reach for (reach, further), outcome in outcomes.items() if not further and outcome == "added"] == [0.3, 0.7]
-    assert {outcome for outcome in outcomes.values() if outcome != "added"} == {"rejected"}
+    assert {key: outcome for key, outcome in outcomes.items() if outcome != "added"} == {
+        (0.7, True): "rejected", (1.5, True): "rejected", (1.5, False): "limit",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

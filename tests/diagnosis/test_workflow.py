@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from bristle.cli import main as cli
 from bristle.common.errors import BristleError
 from bristle.diagnosis import Model, diagnose, fmu_model, records_from_arrays, write
+from bristle.diagnosis import conclusion
 from bristle.diagnosis import preparation as prepare
 from bristle.diagnosis.estimation import fitted_model as fitting_module
 from bristle.diagnosis.modelfile import model_text
@@ -291,3 +292,16 @@ def test_linear_algebra_has_one_thread_in_a_diagnosis_and_its_own_again_afterwar
 def test_arguments_of_a_wrong_type_are_one_line(model, tmp_path, call, words):
     with pytest.raises(BristleError, match=words):
         call(model, tmp_path / "out")
+
+
+@pytest.mark.usefixtures("few")
+def test_effects_whose_strength_may_be_nothing_in_the_end_are_withdrawn(model, measured, monkeypatch):
+    """A refit to whole records may take what segments had shown: then something is missing, and it has no name."""
+    columns = [(f"run {seed}", *(x[:5000] for x in measured("bias", seed)[:3])) for seed in (1, 2)]
+    records = records_from_arrays(model, columns)
+    assert [e.name for e in diagnose(model, records).effects] == ["bias"]
+    monkeypatch.setattr(conclusion, "ANY_STRENGTH", 0.0)
+    found = diagnose(model, records)
+    assert (found.verdict, found.effects, found.remains.flag) == ("not_identifiable", (), True)
+    assert "'bias' would explain most, but with a strength that may be nothing" in found.statement[0]
+    assert found.whole.horizons[-1].before == found.whole.horizons[-1].after
