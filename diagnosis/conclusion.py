@@ -121,7 +121,8 @@ class Additions:
 
 def conclude(case: Case, outcome: SearchOutcome) -> Conclusion:
     """Return what the records say, parameters and intervals refitted to all segments."""
-    proposal = wider_bounds(case, outcome.final) if outcome.final.servo.effects != case.base.servo.effects else ""
+    explains = _with_effects(case, outcome)
+    proposal = wider_bounds(case, explains) if explains else ""
     final, rounds, comparison = _after_withdrawal(case, outcome, proposal)
     last, named = rounds[-1], final.servo.effects[len(case.model.effects) :]
     left = comparison.left(case, final, named)
@@ -271,7 +272,15 @@ def _undetected(case: Case, c: Conclusion) -> dict[str, str]:
     return undetected(limits, case.model, known, added, _unaligned(case))
 
 
-def wider_bounds(case: Case, final: FittedModel) -> str:
+def _with_effects(case: Case, outcome: SearchOutcome) -> Fit | None:
+    """Return the fit with the effects that were found, or with the one that stands in for something else; None without any."""
+    if outcome.final.servo.effects != case.base.servo.effects:
+        return outcome.final.fit
+    best = outcome.rounds[-1].best
+    return best.fit if best and outcome.rounds[-1].outcome == "limit" else None
+
+
+def wider_bounds(case: Case, found: Fit) -> str:
     """Return a proposal where wider bounds alone explain the records better than the effects found within them, or ""."""
     values, bounds = case.base.fit.values, case.model.bounds
     tight = {f.name: f for f in case.base.servo.free if f.name in bounds and f.at_binding_bound(values[f.name])}
@@ -279,8 +288,8 @@ def wider_bounds(case: Case, final: FittedModel) -> str:
         return ""
     free = tuple(f.widened(BOUND_FACTOR) if f.name in tight else f for f in case.base.servo.free)
     wide = fit_with_noise(case.dataset, replace(case.base.servo, free=free), values)
-    price = 0.5 * (len(final.fit.free) - len(wide.fit.free)) * math.log(np.count_nonzero(case.dataset.train) + 1.0)
-    return "" if wide.fit.total < final.fit.total - price else widening(case.model, tight, wide.fit.values)
+    price = 0.5 * (len(found.free) - len(wide.fit.free)) * math.log(np.count_nonzero(case.dataset.train) + 1.0)
+    return "" if wide.fit.total < found.total - price else widening(case.model, tight, wide.fit.values)
 
 
 def widening(model: Model, tight: Mapping[str, Free], values: Mapping[str, float]) -> str:

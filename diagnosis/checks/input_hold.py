@@ -21,7 +21,7 @@ FIRST_INPUT_SHARE = 0.25  # share of the next sample that is tried first
 INPUT_SHARES = tuple(k / 20 for k in range(1, 11))  # shares that are tried then; 0.5: the input changes linearly
 INPUT_FINDING = (
     "the input seems to change between samples: a mix of {share:.2g} of the next sample and the rest of the last one is used "
-    "({gain:.0f} nats likelier than a held input); log it as often as the drive sets it"
+    "({gain:.0f} nats likelier than a held input); log it as often as the drive sets it, and look for a lag in its reading"
 )
 
 
