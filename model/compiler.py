@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ FLAGS = (
 )  # fmt: skip
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
 TIMEOUT = 600  # s, of one compilation; the first one with zig takes a minute
+ENDING_INTERVAL = 0.01  # s, in which compilers that an interrupt must end are looked for
 # Shell: become the command, beside a process that ends the group of both when the standard input ends, with whoever holds it.
 WATCHED = 'exec 3<&0 </dev/null; { read -r _ <&3; kill -KILL 0; } >/dev/null 2>&1 & exec "$@" 3<&-'
 
@@ -290,10 +292,13 @@ def _made(sources: Mapping[str, str], target: Target, unit: str) -> Path:
 def _each_of(make: Callable[[str], Path], units: Sequence[str]) -> list[Path]:
     """Return the results for all units, as many at a time as there are cores; raise the first error if some fail."""
     with ThreadPoolExecutor(os.cpu_count() or 1, "compilers") as pool:
+        made = [pool.submit(make, unit) for unit in units]
         try:
-            return list(pool.map(make, units))
+            return [each.result() for each in made]
         except (KeyboardInterrupt, SystemExit):  # they would be waited for
             pool.shutdown(wait=False, cancel_futures=True)
-            for pipe in tuple(_watched):
-                _end(pipe)
+            while not all(each.done() for each in made):  # one may be about to start its compiler
+                for pipe in tuple(_watched):
+                    _end(pipe)
+                time.sleep(ENDING_INTERVAL)
             raise

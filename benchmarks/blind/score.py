@@ -17,8 +17,6 @@ import numpy as np
 from forms import can_be_taken, class_of
 from shared import upper_bound
 
-from bristle.plant.effects import effect as find_effect
-
 Json = dict[str, Any]
 SLACK = 1e-9
 UNKNOWN = 0.5  # from a strength to an end of its interval, over the strength, from which on the report calls it not known
@@ -34,8 +32,8 @@ def lower_bound(count: int, n: int) -> float:
 
 def _reach(effect: Json) -> float:
     """Return how far the interval of an effect's strength, or play, reaches, over its value; infinite where it is at a bound."""
-    decisive = find_effect(effect["name"]).decisive.name.removeprefix(f"{effect['name']}.")
-    strength: Json = effect["parameters"].get(decisive, {})
+    own = effect["parameters"]
+    strength: Json = own["play"] if effect["name"] == "backlash" else next(iter(own.values()), {})
     if strength.get("at_bound") or strength.get("ci95") is None or not strength["value"]:
         return math.inf
     (low, high), value = strength["ci95"], strength["value"]

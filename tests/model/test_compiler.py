@@ -122,3 +122,20 @@ def test_a_compiler_that_is_done_ends_no_other(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         codes = list(pool.map(lambda k: compiler._run(["sleep", "0.05" if k % 4 else "0.3"], tmp_path).returncode, range(200)))
     assert codes == [0] * 200
+
+
+def test_an_interrupt_ends_a_compiler_that_is_about_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiler.os, "cpu_count", lambda: 2)
+    ended: list[int] = []
+
+    def make(unit: str) -> Path:
+        if unit == "interrupted":
+            raise SystemExit
+        time.sleep(0.3)
+        ended.append(compiler._run(["sleep", "60"], tmp_path).returncode)
+        return tmp_path
+
+    with pytest.raises(SystemExit):
+        compiler._each_of(make, ["interrupted", "late"])
+    assert len(ended) == 1
+    assert ended[0] != 0
