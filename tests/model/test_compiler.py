@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -127,10 +128,13 @@ def test_a_compiler_that_is_done_ends_no_other(tmp_path: Path) -> None:
 def test_an_interrupt_ends_a_compiler_that_is_about_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler.os, "cpu_count", lambda: 2)
     ended: list[int] = []
+    begun = threading.Event()
 
     def make(unit: str) -> Path:
         if unit == "interrupted":
+            begun.wait()
             raise SystemExit
+        begun.set()
         time.sleep(0.3)
         ended.append(compiler._run(["sleep", "60"], tmp_path).returncode)
         return tmp_path
