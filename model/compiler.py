@@ -295,6 +295,9 @@ def _each_of(make: Callable[[str], Path], units: Sequence[str]) -> list[Path]:
         made = [pool.submit(make, unit) for unit in units]
         try:
             return [each.result() for each in made]
+        except Exception:
+            pool.shutdown(wait=False, cancel_futures=True)  # what has not begun is not wanted any more
+            raise
         except (KeyboardInterrupt, SystemExit):  # they would be waited for
             pool.shutdown(wait=False, cancel_futures=True)
             while not all(each.done() for each in made):  # one may be about to start its compiler

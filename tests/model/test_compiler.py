@@ -125,6 +125,22 @@ def test_a_compiler_that_is_done_ends_no_other(tmp_path: Path) -> None:
     assert codes == [0] * 200
 
 
+def test_what_has_not_begun_is_left_out_after_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiler.os, "cpu_count", lambda: 1)
+    begun: list[str] = []
+
+    def make(unit: str) -> Path:
+        begun.append(unit)
+        if unit == "0":
+            raise BristleError("wrong")
+        time.sleep(0.2)
+        return tmp_path
+
+    with pytest.raises(BristleError, match="wrong"):
+        compiler._each_of(make, [str(k) for k in range(20)])
+    assert len(begun) < 4
+
+
 def test_an_interrupt_ends_a_compiler_that_is_about_to_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler.os, "cpu_count", lambda: 2)
     ended: list[int] = []
