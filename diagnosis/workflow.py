@@ -112,6 +112,11 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         late = time.perf_counter() > started + begin * options.budget
         return None if late else within(started + options.budget, result)
 
+    def over_whole_records(case: Case, found: Conclusion) -> tuple[bool | None, tuple[Conclusion, answer.WholeRecords]]:
+        """Return a conclusion over whole records, and first None where no time was left for a refit to these."""
+        refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
+        return (True, refit) if refit else (None, refit_to_whole_records(case, found, refit=False))
+
     with threadpool_limits(1, user_api="blas"):  # matrices are small: more threads only wait, and sum in another order
         while True:
             prepared = prepare(records)
@@ -126,19 +131,17 @@ def search_prepared(prepare: Prepare, records: Sequence[Record], tell: Progress,
         found = conclude(prepared.case, outcome)
         tell("whole records", 0.9)
         case = prepared.case
-        refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
-        refitted, whole = refit or refit_to_whole_records(case, found, refit=False)
+        in_full, (refitted, whole) = over_whole_records(case, found)
         if may_be_nothing(refitted):
             found = conclude(case, without_effects(case, outcome, refitted))
-            refit = in_time(REFIT_SHARE, lambda: refit_to_whole_records(case, found))
-            refitted, whole = refit or refit_to_whole_records(case, found, refit=False)
+            in_full, (refitted, whole) = over_whole_records(case, found)
         more = prepared.additions(found)
         fill = in_time(REFIT_SHARE, lambda: [unnamed_torque(case, found)])
         agree = in_time(REFIT_SHARE, lambda: [agreement(case, found)])
         tell("what to measure next", 0.95)
         ask = in_time(DESIGN_SHARE, lambda: [design(case, found, options)])
         done = {
-            "parameters were not refitted to whole records": refit,
+            "parameters were not refitted to whole records": in_full,
             "no unnamed torque": fill,
             "records were not compared for their parameters": agree,
             "no input of a further record": ask,

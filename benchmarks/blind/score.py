@@ -20,6 +20,7 @@ from shared import upper_bound
 Json = dict[str, Any]
 SLACK = 1e-9
 UNKNOWN = 0.5  # from a strength to an end of its interval, over the strength, from which on the report calls it not known
+WORSE = 1.2  # factor of the squared error over whole records beyond which the report calls a model worse than before
 SINGLE = ("same", "other", "low", "faint")  # groups of one effect each, with rich excitation
 OUTCOMES = ("right", "wrong", "in part", "tie with truth", "tie without", "none", "not_identifiable", "error")
 BINS = ((0.0, 1.3), (1.3, 1.6), (1.6, 2.0), (2.0, 4.0), (4.0, 10.0), (10.0, math.inf))
@@ -84,7 +85,7 @@ class Judged:
         not known, or whole records whose squared error is larger by a fifth than before."""
         agreement = self.result.get("agreement") or {"holds": True}
         horizons = (self.result.get("whole_record") or {}).get("horizons") or []
-        worse = bool(horizons) and (horizons[-1]["after"] or math.inf) ** 2 > 1.2 * (horizons[-1]["before"] or math.inf) ** 2
+        worse = bool(horizons) and (horizons[-1]["after"] or math.inf) ** 2 > WORSE * (horizons[-1]["before"] or math.inf) ** 2
         unknown = any(_reach(effect) >= UNKNOWN for effect in self.result["effects"])
         return self.flagged or not agreement["holds"] or unknown or worse
 

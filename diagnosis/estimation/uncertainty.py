@@ -141,7 +141,7 @@ def intervals(fit: Fit, problem: Problem | None = None) -> list[tuple[float, flo
     return found
 
 
-def strength_is_known(fit: Fit, problem: Problem, name: str, share: float = STRENGTH_HALF_WIDTH) -> bool:
+def strength_is_known(fit: Fit, problem: Problem, name: str, share: float) -> bool:
     """Return whether the strength of an effect, or its free play, is known to within this share of its value."""
     strength = find_effect(name).decisive.name
     places = [k for k, f in enumerate(fit.free) if f.name == strength]

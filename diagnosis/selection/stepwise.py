@@ -12,7 +12,7 @@ from bristle.diagnosis.checks.input_hold import InputShare, estimate_input_share
 from bristle.diagnosis.estimation.dataset import Dataset
 from bristle.diagnosis.estimation.fitted_model import FittedModel, has_outliers_or_disturbance
 from bristle.diagnosis.estimation.optimiser import pressed_bounds
-from bristle.diagnosis.estimation.uncertainty import ANY_STRENGTH, strength_is_known
+from bristle.diagnosis.estimation.uncertainty import ANY_STRENGTH, STRENGTH_HALF_WIDTH, strength_is_known
 from bristle.diagnosis.localisation.residual_localisation import SENSOR_VIEWS, views_of
 from bristle.diagnosis.selection.candidates import (
     EXHAUSTIVE,
@@ -157,12 +157,12 @@ def decide(context: SearchContext, found: SearchRound, further: bool = False) ->
         ends = " and ".join(f"{key} at {found.best.fit.values[key]:.3g}" for key in pressed)
         why = f"'{name}' would explain most with {ends}, the end of what it can be: it stands in for something else"
         return replace(found, decision=why, outcome="limit", ties=())
-    noise = context.own_noise(found.best.fit)
-    if further and not strength_is_known(found.best.fit, noise, name):
+    share = STRENGTH_HALF_WIDTH if further else ANY_STRENGTH
+    if strength_is_known(found.best.fit, context.own_noise(found.best.fit), name, share=share):
+        return replace(found, decision=f"'{name}' added", outcome="added")
+    if further:
         return found.rejected(f"'{name}' is significant, but beside what was found its strength is not known")
-    if not strength_is_known(found.best.fit, noise, name, share=ANY_STRENGTH):
-        return replace(found, decision=stands_in([name]), outcome="limit", ties=())
-    return replace(found, decision=f"'{name}' added", outcome="added")
+    return replace(found, decision=stands_in([name]), outcome="limit", ties=())
 
 
 def stands_in(names: Sequence[str]) -> str:

@@ -114,7 +114,7 @@ def open_loop_servo(servo: Servo) -> Servo:
     The form of an effect (where, how often, when it acts) shows within segments, and a long simulation has many optima in it.
     Bristles that stand for nothing but the sensor's step are left out.
     """
-    strengths = {f"{name}.{p.name.split('.')[-1]}" for name in servo.effects for p in find_effect(name).parameters[:1]}
+    strengths = {find_effect(name).strength.name for name in servo.effects}
     free = tuple(f for f in servo.free if f.name in strengths or f.name.split(".")[0] not in all_effects())
     return replace(servo, free=free, rigid=servo.rigid and OWN_BRISTLES in servo.effects)
 

@@ -485,7 +485,7 @@ def test_a_further_effect_is_added_only_where_its_strength_is_known(case, monkey
     context = SearchContext(made.dataset, made.base, SearchOptions())
     outcomes = {}
     for reach in (0.3, 0.7, 1.5):  # of the interval, over the strength
-        monkeypatch.setattr(stepwise, "strength_is_known", lambda *_, share=0.5, reach=reach: reach < share)
+        monkeypatch.setattr(stepwise, "strength_is_known", lambda *_, share, reach=reach: reach < share)
         for further in (True, False):
             outcomes[reach, further] = propose_effect(context, ["gravity", "bias"], QUICK, further).outcome
     assert [reach for (reach, further), outcome in outcomes.items() if further and outcome == "added"] == [0.3]
@@ -509,8 +509,8 @@ def test_a_strength_is_known_where_both_ends_of_its_interval_are_near(monkeypatc
     fit = SimpleNamespace(free=free, values={"J": 0.5, "gravity.amplitude": value})
     monkeypatch.setattr(intervals, "intervals", lambda *_: [(0.0, 9.0), ends])
     assert free[1].at_bound(value) is bound
-    assert intervals.strength_is_known(fit, None, "gravity") is known
-    assert intervals.strength_is_known(SimpleNamespace(free=free[:1], values={"J": 0.5}), None, "gravity")
+    assert intervals.strength_is_known(fit, None, "gravity", 0.5) is known
+    assert intervals.strength_is_known(SimpleNamespace(free=free[:1], values={"J": 0.5}), None, "gravity", 0.5)
 
 
 @pytest.mark.parametrize(("ends", "known"), [((0.0, 0.04), False), ((0.019, 0.021), True)])
@@ -519,4 +519,4 @@ def test_a_backlash_is_known_by_its_play(monkeypatch, ends, known):
     free = (Free("backlash.share", 0.02, 0.9), Free("backlash.play", 0.0, 5.0))
     fit = SimpleNamespace(free=free, values={"backlash.share": 0.5, "backlash.play": 0.02})
     monkeypatch.setattr(intervals, "intervals", lambda *_: [(0.49, 0.51), ends])
-    assert intervals.strength_is_known(fit, None, "backlash") is known
+    assert intervals.strength_is_known(fit, None, "backlash", 0.5) is known
